@@ -36,11 +36,11 @@ class AmentDistribution(Distribution):
 
 
 class CoreBuilder(build_ext):
-    """Ends a build that fails with one line that says what to install."""
+    """Ends a failed build with one line that says what to install."""
 
     def build_extension(self, ext: Extension) -> None:
         """Compile the core, or exit."""
-        # A source that is gone leaves none behind that is newer than what was built.
+        # After a source is deleted, no other one is newer than the build: compare digests too.
         built, digest = Path(self.get_ext_fullpath(ext.name)), dict(ext.define_macros)["SOURCES"]
         if built.exists() and digest.strip('"').encode() not in built.read_bytes():
             self.force = True
@@ -59,7 +59,7 @@ def version() -> str:
 
 
 def launchers() -> list[str]:
-    """Write what `ros2 run` finds in a prefix made by pip, which installs to bin only."""
+    """Write launchers for `ros2 run` in a prefix made by pip, which installs to bin only."""
     folder = Path("build", "launchers")
     folder.mkdir(parents=True, exist_ok=True)
     for name in EXECUTABLES:
@@ -70,7 +70,7 @@ def launchers() -> list[str]:
 
 
 def data_files() -> list[tuple[str, list[str]]]:
-    """List what goes outside the Python package."""
+    """List the files that are installed outside the Python package."""
     files = [
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -104,7 +104,7 @@ def extension() -> Extension:
             *("-Wall", "-Wextra", "-fvisibility=hidden"),
         ],
         libraries=["m"],
-        py_limited_api=True,  # from 3.11 on; setup.cfg names the wheel so
+        py_limited_api=True,  # from 3.11 on; setup.cfg names the wheel to match
     )
 
 
@@ -112,7 +112,7 @@ setup(
     name=NAME,
     version=version(),
     description="State and sensor-disturbance estimation for a robot arm with an elastic joint",
-    # `colcon build --symlink-install` runs a link to this file, and has no link to that one.
+    # `colcon build --symlink-install` runs a link to this file, and makes no link to the README.
     long_description=Path(__file__).resolve().with_name("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
@@ -122,9 +122,9 @@ setup(
     distclass=AmentDistribution,
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    # Said although it is the default: "pip install -e" then puts this folder on the path. Else a
-    # finder looks for the package last, behind a clone in the current folder: that is called as the
-    # package is, and passes for a namespace package without anything in it.
+    # Stated although it is the default: "pip install -e" then puts this folder on the path. Else a
+    # finder looks for the package last, after the current folder: a clone there has the name of the
+    # package, and passes for an empty namespace package.
     package_dir={"": "."},
     package_data={
         NAME: ["py.typed", "report/page.css", "report/page.js", "core/*.[ch]", "core/*.pyi"]

@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Every scenario, every contender, on the same simulated data; and what is demanded of ours.
+"""Every scenario, every contender, on the same simulated data; and the demands on our observer.
 
-`certified` and `riccati` are what the node runs, with either gain; `fixed` is the certified gain
+`certified` and `riccati` are the node's observer, with either gain; `fixed` is the certified gain
 alone. The rivals are two EKFs with a gate and a reset: `ekf_gated` with the nominal arm, and
-`ekf_gated_augmented` with stiffness and gravity as states, both also without the reset.
+`ekf_gated_augmented` with stiffness and gravity as states. Both also run without the reset.
 `ekf_plain`, `ekf_augmented` and `ekf_true`, which has the true arm, have no gate. PO and PIO have
 the best θ of a grid for each scenario and window.
 """
@@ -32,7 +32,7 @@ from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 _CHUNK = 10
 _TONE = 3.0
 _CLOSE = 1.05
-"""A ratio below this is no difference worth a word."""
+"""A ratio below this counts as no difference."""
 
 _SHOWN = ("ratio", "inside", "claimed")
 """Kinds of demands with a column of the table."""
@@ -59,7 +59,7 @@ _WITHOUT_RESET = ("ekf_without_reset", "ekf_without_reset_augmented")
 _TUNED = {"po": baselines.high_gain, "pio": baselines.proportional_integral}
 
 Job = tuple[str, Design, tuple[int, ...], bool]
-"""Scenario, design, seeds, and whether it is the contenders that are tuned on all runs."""
+"""Scenario, design, seeds, and whether the contenders are those that are tuned on all runs."""
 
 
 def _work(job: Job) -> tuple[str, dict[str, Outcome]]:
@@ -148,7 +148,7 @@ def _bold(text: str, demand: Demand | None) -> str:
 def _summary(
     results: Mapping[str, Mapping[str, Outcome]], found: Sequence[Demand]
 ) -> Iterator[str]:
-    """Yield where ours loses, and by how much."""
+    """Yield the scenarios in which ours loses, and by how much."""
     ratios = {name: ratio_of(one) for name, one in results.items()}
     worse = sorted(
         ((ratio, name) for name, ratio in ratios.items() if ratio > _CLOSE), reverse=True
@@ -225,7 +225,7 @@ def _page(
     cost: Mapping[str, float],
     what: str,
 ) -> Iterator[str]:
-    """Yield what was found, as Markdown."""
+    """Yield the results, as Markdown."""
     yield from _summary(results, found)
     yield f"\n{what}\n\n## Ours and its rivals\n"
     yield from _fair_table(results, found)
@@ -238,7 +238,7 @@ def main() -> None:
     """Measure and print."""
     options = options_of(parser(__doc__), SCENARIOS)
     design = design_of(options)
-    # Before the other processes start, which would be in its way.
+    # Before the other processes start, which would slow it down.
     cost = step_costs("adaptive", design, 30.0)
     results = measure(design, options.scenarios, options.seeds, options.processes)
     found = [*demands(results), *cost_demands(cost)]

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the acceptance benchmark demands, evaluated on its results."""
+"""The demands of the acceptance benchmark, evaluated on its results."""
 
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
@@ -15,21 +15,21 @@ Results = Mapping[str, Mapping[str, Outcome]]
 """Outcomes by scenario and contender."""
 
 RIVALS = ("ekf_gated", "ekf_gated_augmented")
-"""The fair ones: gated, and knowing no more than ours."""
+"""The fair rivals: gated, and with no more information than ours."""
 
 
 class Demand(NamedTuple):
     """A number with a bar.
 
     Attributes:
-        scenario: Where it is measured.
-        kind: What it is, for programs.
-        text: What it is.
+        scenario: The scenario in which the number is measured.
+        kind: Meaning of the number, for programs.
+        text: Meaning of the number, for people.
         value: The number.
-        bar: Most that it may be, or least.
-        at_least: Whether it is the least.
-        median: For a ratio of means: the median of the ratios of each run, which a few runs in
-            which a filter diverged do not move.
+        bar: The largest allowed value, or the smallest.
+        at_least: Whether the bar is the smallest allowed value.
+        median: For a ratio of means: the median of the runs' ratios, which a few runs with a
+            diverged filter do not change.
     """
 
     scenario: str
@@ -42,7 +42,7 @@ class Demand(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the demand is met; a number that is none does not meet it."""
+        """Whether the demand is met; a NaN does not meet it."""
         return bool(self.value >= self.bar if self.at_least else self.value <= self.bar)
 
 
@@ -62,25 +62,25 @@ _RATIOS = (
     ("stiff_sinusoid", "settled", "certified", "ekf_true", 1.40),
     ("outliers", "settled", "certified", "ekf_true", 0.65),
 )
-"""Scenario, window, ours, whom it is compared with, bar of the ratio of mean errors."""
+"""Scenario, window, our variant, the contender to compare with, bar of the ratio of mean errors."""
 
 RATIO_BAR = 1.15
-"""Of ours / the better of the rivals."""
+"""Bar of the ratio of ours to the better rival."""
 
 _RATIO_BARS = dict.fromkeys(
     (name for name in SCENARIOS if name.startswith(("tone_", "stiff_tone_"))), 0.5
 ) | dict.fromkeys(("wander", "wander_3", "stiff_wander"), 1.05)
-"""The same where it is another."""
+"""The same bar for scenarios in which it differs."""
 
 _TONE_LEFT = 1.05
-"""What a tone may leave at least, by our error without one: half a rival's may be less than that,
-and so less than what any observer of the same noise has."""
+"""Error that is always allowed with a tone, relative to ours without one: half of a rival's may be
+smaller than that, and so smaller than any observer of the same noise can reach."""
 
 MEDIAN_BAR = 0.92
-"""Of the median of these ratios over all scenarios."""
+"""Bar of the median of these ratios over all scenarios."""
 
 PLAIN_BAR = 1.1
-"""Of ours / a plain EKF with the same numbers."""
+"""Bar of the ratio of ours to a plain EKF with the same numbers."""
 
 CLAIMED_BAR = 0.9
 """Share of samples with claimed bounds in `COVERED`."""
@@ -92,39 +92,39 @@ COVERED = (
     "stiff_missing", "missing_outliers", "half_rate", "stiff_half_rate", "mix_stiff_outliers_step",
     "mix_stiff_missing_loud",
 )  # fmt: skip
-"""What the design covers: parameters within 30 %, outliers of 5 %, 20 % missing, noise times .5 to
-3."""
+"""Scenarios that the design covers: parameters within 30 %, outliers of 5 %, 20 % missing, noise
+times .5 to 3."""
 
 INSIDE_BAR = 0.97
-"""Share of samples within three bounds, of the worst channel."""
+"""Share of samples within three bounds, for the worst channel."""
 
 PLAIN = (
     "noise", "bias_step", "sinusoid", "drift", "ramp", "stiff", "stiff_bias_step",
     "soft_heavy_bias_step", "stiff_sinusoid", "outliers", "dropouts", "stiff_dropouts",
 )  # fmt: skip
-"""Scenarios without what no design foresees, in which all observers run."""
+"""Scenarios without effects that no design models; in these all observers run."""
 
 _AS_DESIGNED = ("noise", "stiff", "bias_step", "stiff_bias_step", "outliers", "dropouts",
                 "stiff_dropouts")  # fmt: skip
-"""Scenarios that the design, with what is learnt and supervised, is for."""
+"""Scenarios that the design is made for, with its learning and supervision."""
 
 _JUDGED = SCENARIOS.keys() - set(PLAIN) | set(_AS_DESIGNED)
-"""Scenarios with demands on the error beside the rivals' and on the bounds."""
+"""Scenarios with demands on the error relative to the rivals' and on the bounds."""
 
 _UNLEARNT = {
     "slight_friction": 0.045, "friction": 0.11, "link_friction": 0.045, "stiff_friction": 0.11,
 }  # fmt: skip
-"""Bar of the error itself with forces that the model lacks."""
+"""Bar of the error itself in scenarios with forces that the model lacks."""
 
 _LOOSE = ("correlated_0.8", "correlated_0.9", "correlated_0.97", "stiff_correlated_0.9")
 _LOOSE_INSIDE_BAR = 0.95
 
 _UNTOLD = ("late_10ms", "payload")
-"""Scenarios in which bounds may fail if they are not claimed."""
+"""Scenarios in which bounds may fail as long as they are not claimed."""
 
 _UNSEEN = ("late_20ms",)
-"""Scenarios whose samples are but 2 nats likelier by the right model (benchmarks/visibility.py):
-no observer can know that its bound fails."""
+"""Scenarios whose samples are only 2 nats likelier by the right model (benchmarks/visibility.py):
+no observer can detect that its bound fails."""
 
 _WRONG_EFFORTS = tuple(name for name in SCENARIOS if name.startswith("wrong_effort"))
 _HONEST_BAR = 0.999
@@ -136,10 +136,10 @@ FOREIGN_BAR = 1.0
 """Longest time with another hypothesis if the arm is as designed [s]."""
 
 SETTLING_BAR = 3.0
-"""Time until settled again after a step of the sensor [s], of 9 runs in 10."""
+"""Time until 9 runs in 10 have settled again after a step of the sensor [s]."""
 
 THETA_BAR = 0.005
-"""RMSE of each parameter with 20 % more stiffness, and held at rest."""
+"""RMSE of each parameter, with 20 % more stiffness and for an arm at rest or held."""
 
 THETA_INSIDE_BAR = 0.95
 
@@ -153,7 +153,7 @@ def rival(found: Mapping[str, Outcome]) -> str:
 
 
 def demands(results: Results) -> Iterator[Demand]:
-    """Yield what can be evaluated on the scenarios that were run."""
+    """Yield the demands that can be evaluated on the scenarios that were run."""
     for name, found in results.items():
         yield from _fair(name, found, results.get("noise"))
         yield from _of_ratios(name, found)
@@ -173,7 +173,7 @@ def demands(results: Results) -> Iterator[Demand]:
 
 
 def _of_all(results: Results) -> Iterator[Demand]:
-    """Yield what is demanded of all scenarios together."""
+    """Yield the demands on all scenarios together."""
     ratios = [ratio_of(found) for found in results.values()]
     text = "ours / the better EKF"
     yield Demand("all", "median", f"{text}, median", float(np.median(ratios)), MEDIAN_BAR)
@@ -189,9 +189,9 @@ def ratio_of(found: Mapping[str, Outcome]) -> float:
 def _fair(
     name: str, found: Mapping[str, Outcome], calm: Mapping[str, Outcome] | None
 ) -> Iterator[Demand]:
-    """Yield what is demanded of ours next to the rivals, and of its bounds.
+    """Yield the demands on ours relative to the rivals, and on its bounds.
 
-    calm: What is found in white noise alone.
+    calm: The outcomes in white noise alone.
     """
     mine, other = found["certified"], found[rival(found)]
     assert mine.inside is not None
@@ -261,7 +261,7 @@ def cost_demands(cost: Mapping[str, float]) -> Iterator[Demand]:
 
 
 def _mean(values: Array) -> float:
-    """Return the mean, infinite if a filter diverged to no number."""
+    """Return the mean, infinite if a filter diverged and a value is not finite."""
     if not values.size:
         return float("nan")
     return float(values.mean()) if np.isfinite(values).all() else float("inf")

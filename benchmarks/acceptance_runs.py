@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The contenders of the acceptance benchmark on simulated runs, and the errors that they make.
+"""The contenders of the acceptance benchmark on simulated runs, and their errors.
 
-Errors are those of the estimate at a sample, after its correction if it was not lost, in design
-coordinates. PO and PIO hold a sample until the next one, so theirs is the estimate before it. A
-lost sample is lost with its torque; ours accounts for that, the others hold the torque before it.
+Errors are those of the estimate at a sample, in design coordinates, after the correction unless the
+sample was lost. PO and PIO hold a sample until the next one, so for them it is the estimate before
+the sample. A lost sample loses its torque, too: ours accounts for that, the others hold the last.
 """
 
 from collections.abc import Callable
@@ -28,22 +28,22 @@ from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.signals import BiasStep
 
 SCALE = np.array([0.226, 0.60, 3.55, 4.64])
-"""Typical size of the motion in design coordinates, by which errors are divided."""
+"""Typical size of the motion in design coordinates; errors are divided by it."""
 
 WINDOWS = {"settled": (45.0, 60.0), "full": (20.0, 60.0)}
 """Parts of a run [s]."""
 
 STEP, CALM, HOLD = 30.0, (20.0, 30.0), 5.0
-"""When the sensor steps, the calm before it, how long errors have to stay small after it [s]."""
+"""Time of the sensor's step, calm before it, and time that errors must stay small after it [s]."""
 
 LOUD = 4.0
-"""Errors beyond so many times their root mean square have not settled.
+"""Errors beyond this many times their root mean square have not settled.
 
-Without a step, 5 of 30 runs pass three times it within nine seconds, and none four times.
+Without a step, 5 of 30 runs exceed three times it within nine seconds, and none four times.
 """
 
 STEP_SIZE = 0.1
-"""What the disturbance's error is divided by when that is judged [rad]."""
+"""Divisor of the disturbance's error for that judgement [rad]."""
 
 
 class Found(NamedTuple):
@@ -55,7 +55,7 @@ class Found(NamedTuple):
         thetas: Relative changes of stiffness and gravity, shape (runs, samples, k).
         theta_bounds: 1σ of them.
         rows: All results of ours, as `campaign.batches.Observed.rows`.
-        events: What the supervision counted in each run.
+        events: Counts of the supervision in each run.
     """
 
     estimates: Array
@@ -67,9 +67,9 @@ class Found(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What one contender did in a scenario, each run by itself.
+    """The results of one contender in a scenario, each run by itself.
 
-    Shares are of the samples of the full window.
+    Shares refer to the samples of the full window.
 
     Attributes:
         errors: Normalised RMSE by window, shape (runs,).
@@ -82,7 +82,7 @@ class Outcome(NamedTuple):
         theta: RMS error of each parameter over the settled window, shape (runs, k).
         theta_inside: Share of valid parameters within three bounds, NaN if none is valid, (runs,).
         settled_after: Time after the step of the sensor until settled again [s], shape (runs,).
-        events: What the supervision counted in each run.
+        events: Counts of the supervision in each run.
         tuning: θ of a PO or a PIO by window.
     """
 
@@ -119,7 +119,7 @@ def ours(
     adapt: bool = True,
     alone: bool = False,
 ) -> Found:
-    """Return what the node would estimate, or the design's filter alone."""
+    """Return the estimates of the node, or of the design's filter alone."""
     settings = ObserverSettings(gain_mode=mode, adapt=adapt)
     estimator = filter_alone(design, settings) if alone else make_estimator(design, settings)
     found = observe(design, runs, settings, estimator)
@@ -154,11 +154,11 @@ def kalman(
 
     Args:
         design: Model, noise and start.
-        runs: What it measures.
+        runs: The measurements.
         arm: The filter's model; the nominal arm if None.
         learns: Whether stiffness and gravity are states.
         gated: Whether it has a gate.
-        resets: Whether it opens its covariance when it leaves out most samples for a while.
+        resets: Whether it opens its covariance after leaving out most samples for a while.
     """
     request = replace(design.arm_request, arm=arm or design.arm_request.arm)
     filter_ = extended_kalman(
@@ -184,9 +184,9 @@ def kalman(
 
 
 def received(runs: Trajectories) -> Array:
-    """Return the torques that are known, shape (runs, samples, 1).
+    """Return the known torques, shape (runs, samples, 1).
 
-    A sample that is lost is lost with its torque; the one before it is held.
+    A lost sample loses its torque, too; the torque before it is held.
     """
     there = np.isfinite(runs.measurements)
     places = np.maximum.accumulate(np.where(there, np.arange(there.shape[1])[:, np.newaxis], 0), 1)
@@ -217,7 +217,7 @@ def high_gain(
 
 
 def outcome(scenario: Scenario, runs: Trajectories, found: Found) -> Outcome:
-    """Return how good estimates are."""
+    """Return the outcome of estimates."""
     settled, full = (_inside(runs.times, WINDOWS[name]) for name in ("settled", "full"))
     with np.errstate(all="ignore"):  # a filter that diverges is a result
         squares = _squares(found.estimates[..., :4], runs)
@@ -272,12 +272,12 @@ def _worth(
 
 
 def settled_after(times: Array, errors: Array) -> Array:
-    """Return when each run's error (runs, samples) has settled after the step [s].
+    """Return the time after the step at which each run's error (runs, samples) has settled [s].
 
-    The error is the root mean square over the four states, normalised, and the disturbance, by
-    0.1 rad: the states alone hardly notice a step that is found at once. It has settled when it
-    stays, for `HOLD` seconds, below `LOUD` times its root mean square over all runs in the calm
-    before the step. Infinite if it never does.
+    The error is the root mean square of the four normalised states and of the disturbance divided
+    by 0.1 rad: the states alone hardly show a step that is found at once. It has settled when it
+    stays below `LOUD` times its root mean square, over all runs in the calm before the step, for
+    `HOLD` seconds. The time is infinite if it never does.
     """
     calm = np.sqrt((errors[:, _inside(times, CALM)] ** 2).mean()) if (times >= STEP).any() else 0.0
     after = times >= STEP

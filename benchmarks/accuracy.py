@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of the node's observer next to those of an EKF with the same model, over many seeds.
 
-The observer is the one the node runs: the certified one under supervision. The EKF has the same
-disturbance state and noise densities and is plain: the Kalman gain along its own estimate for
-ever, without gates or health logic. Errors are taken just before
-each sample, when an estimate is oldest, which is what the certificate bounds. Parts: `settled`
-45-60 s, `full` 20-60 s, `around` all but 5 s after the start and after a jump at 30 s.
+The observer is that of the node: the certified one under supervision. The EKF has the same
+disturbance state and noise densities and is plain: it always uses the Kalman gain along its own
+estimate, without gates or health logic. Errors are taken just before each sample, when an estimate
+is oldest; these are the errors that the certificate bounds. Parts: `settled` 45-60 s, `full`
+20-60 s, `around` all except 5 s after the start and after a jump at 30 s.
 """
 
 from collections.abc import Iterator

@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Encoders on either side and unknown torques: what is demanded of them, on simulated runs.
+"""Demands on encoders on either side and on unknown torques, on simulated runs.
 
-The arm is the default one. `ours` is what the node runs; `gated EKF` has the same states, a gate
-and a reset, and `EKF` has no gate. All have the arm's parameters, none has friction or contact. The
-demands on contacts are of the node's tracker and fault monitors at 200 ticks per second.
+The arm is the default one. `ours` is the node's observer; `gated EKF` has the same states, a gate
+and a reset, and `EKF` has no gate. All have the arm's parameters, none has friction or contact.
+The demands on contacts are on the node's tracker and fault monitors at 200 ticks per second.
 """
 
 import sys
@@ -39,10 +39,10 @@ _ENCODER = 0.001
 """1σ of an encoder [rad]."""
 
 _START, _CONTACT, _TICK = 5.0, 10.0, 0.005
-"""When contacts are judged from, when they set in, and the time between ticks [s]."""
+"""Times from which contacts are judged and at which they begin, and time between ticks [s]."""
 
 _PLAIN, _PLAIN_NODE = "no torque disturbance, gain alone", "no torque disturbance, hypotheses"
-"""Observers of the design without torque disturbance: its gain, and what the node runs."""
+"""Observers of the design without torque disturbance: its gain alone, and the node's observer."""
 
 _WANDER = DisturbanceTerm("bias", {"density": 1e-6})
 _MOTOR, _LINK = Output("motor_angle", _ENCODER), Output("link_angle", _ENCODER, (_WANDER,))
@@ -53,7 +53,7 @@ _FREE = TorqueDisturbance()
 
 
 class Case(NamedTuple):
-    """A design, and what its observer is put to."""
+    """A request, and the scenario for its observer."""
 
     request: ArmRequest
     scenario: Scenario
@@ -103,8 +103,8 @@ ACCURACY = {
     "friction_motor_encoder": _case([_MOTOR], _AT_MOTOR, friction=_SLIGHT),
     "friction_link_sensor": _case([_OLD_LINK], _AT_MOTOR, friction=_SLIGHT),
 }
-"""One minute each at 200 Hz, u = sin t; friction of the motor of 0.1 N m s/rad and 0.05 N m, by
-encoders on both sides, on the motor, and by the default design's sensor of the link."""
+"""One minute each at 200 Hz, u = sin t; friction of the motor of 0.1 N m s/rad and 0.05 N m, with
+encoders on both sides, on the motor, and with the default design's sensor of the link."""
 
 CONTACTS = {
     "contact": _case([_MOTOR, _LINK], _AT_LINK, rate=1000.0, x_max=0.9, contact=2.0),
@@ -115,8 +115,8 @@ CONTACTS = {
         [_MOTOR, _LINK], _AT_LINK, rate=1000.0, x_max=0.9, contact=2.0, bias=0.1
     ),
 }
-"""A torque of 2 N m on the link, 20 % of the gravity torque, from 10 s to the end at 20 s; loud
-with twice the encoders' noise."""
+"""A torque of 2 N m on the link, 20 % of the gravity torque, from 10 s to the end at 20 s; "loud"
+is with twice the encoders' noise."""
 
 
 class Accuracy(NamedTuple):
@@ -135,15 +135,15 @@ class Accuracy(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """What is found of contacts, each run by itself.
+    """The findings on contacts, each run by itself.
 
     Attributes:
         noticed: Time from the contact until its torque is beyond three bounds [s], (runs,).
-        early: Share of the time before it in which that was so, (runs,).
+        early: Share of the time before the contact with a torque beyond three bounds, (runs,).
         inside: Share of the errors within three bounds: torque, disturbances of the outputs in
             the order of the request, the four states; shape (runs, 1 + p + 4).
         reports: Shares of the time after the contact by output and kind of fault.
-        quiet: Shares of the time before it.
+        quiet: The same shares of the time before the contact.
     """
 
     noticed: Array
@@ -187,7 +187,7 @@ def _squares(design: Design, states: Array, runs: Trajectories) -> Array:
 
 
 def contact(case: Case, design: Design, seeds: Sequence[int]) -> Contact:
-    """Return what the observer and its fault monitors find of contacts."""
+    """Return the findings of the observer and its fault monitors on contacts."""
     runs, request = simulate(case.scenario, seeds), design.arm_request
     stamps, every = _stamps(runs), round(_TICK * request.rate)
     noticed, early, inside = [], [], []
@@ -247,7 +247,7 @@ Found = Accuracy | Contact
 
 
 def demands(results: Mapping[str, Found]) -> Iterator[Demand]:
-    """Yield what is demanded of the cases that were run."""
+    """Yield the demands on the cases that were run."""
     for name, found in results.items():
         if isinstance(found, Accuracy):
             yield from _of_accuracy(name, found)
@@ -301,7 +301,7 @@ def _work(job: tuple[str, Design, Design, tuple[int, ...]]) -> tuple[str, Found]
 
 
 def measure(names: Sequence[str], seeds: Sequence[int], processes: int) -> dict[str, Found]:
-    """Return what was found, by case."""
+    """Return the results by case."""
     jobs = []
     for name in names:
         request = (ACCURACY | CONTACTS)[name].request

@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How fast bags are written, read in order of log time, verified and recovered.
+"""Speed of writing bags, reading them in order of log time, verifying and recovering them.
 
-Messages of 156 bytes on ten topics, through the library alone, without ROS. The libraries `mcap`
-and `rosbags` do the same in the same run, in turns; all give raw bytes. Times include opening and
-closing, and with it forcing the bag to the disk; they are of the wall clock.
+Messages have 156 bytes and are on ten topics; the library runs alone, without ROS. The libraries
+`mcap` and `rosbags` do the same in the same run, in turns; all give raw bytes. Times are elapsed
+times and include opening and closing, which forces the bag to the disk.
 """
 
 import shutil
@@ -37,7 +37,7 @@ Message = tuple[str, bytes, int]
 
 
 def _messages(count: int) -> list[Message]:
-    """Return messages of an arm, as a recorder gets them."""
+    """Return messages of an arm in the form that a recorder gets."""
     rng = np.random.default_rng(1)
     encode = JointStateEncoder(_NAMES)
     stamps = range(_START, _START + count * _STEP, _STEP)
@@ -107,7 +107,7 @@ def _measure(
     writers = {"ours": _write_ours, "mcap": _write_mcap, "rosbags": _write_rosbags}
     readers = {"ours": _read_ours, "mcap": _read_mcap, "rosbags": _read_rosbags}
     if compression == "lz4":
-        del writers["rosbags"]  # it cannot
+        del writers["rosbags"]  # it cannot write lz4
     times: dict[tuple[str, str], list[float]] = {}
     for _ in range(repeats):
         for name, write in writers.items():

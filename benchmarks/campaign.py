@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cost of a campaign: draw, simulate, observe and score, by part and on all cores.
 
-The observer is the one the node runs. The parts are CPU time on one thread; next to them stands
-what NumPy's generators take for the random numbers alone, as a measure of the machine. The whole
-is `tsobs campaign` as a separate process, on one thread and on all cores: elapsed time from its
-start to the tables, also without what a campaign of no length takes, and its largest memory.
+The observer is that of the node. The parts are CPU times on one thread; for comparison, there is
+the time that NumPy's generators take for the random numbers alone, as a measure of the machine. The
+whole is `tsobs campaign` as a separate process, on one thread and on all cores: elapsed time from
+its start to the tables, the same for a campaign of one run, and its largest memory.
 """
 
 import os
@@ -62,7 +62,7 @@ def _parts(campaign: Campaign) -> dict[str, float]:
         names = ("draw", "simulate", "observe", "score", "random numbers alone")
         for name, spent in zip(names, np.diff(marks).tolist(), strict=True):
             times.setdefault(name, []).append(spent / samples)
-    # The first turn loads what the others find loaded.
+    # The first turn also loads code and data that the others find loaded.
     return {name: float(np.median(each[1:])) for name, each in times.items()}
 
 

@@ -4,14 +4,14 @@
 
 For each rate a gain is designed, and a batch of arms is observed with it alone. Every run begins
 with an error drawn from N(0, X), as wide as the certificate allows, and its bias wanders as the
-design assumes. The arms are integrated by Runge-Kutta; the premise is the estimate, which depends
-on the noise, so that here is checked what the certificate does not prove.
+design assumes. The arms are integrated by Runge-Kutta. The premise is the estimate, which depends
+on the noise, so the runs check a case that the certificate does not prove.
 
-At the design's own rate all that is repeated with a sensor that is s times as noisy, with process
-noise as designed and s times as large, and errors of N(0, s²X) at the start.
+At the design's own rate everything is repeated with a sensor that is s times as noisy, with process
+noise as designed and s times as large, and with errors from N(0, s²X) at the start.
 
-Printed is the largest eigenvalue of X⁻¹cov(e)/s² just before a sample. The largest eigenvalue of a
-sample covariance leans upwards: if cov(e) were X itself, the first line would be its expectation.
+The printed number is the largest eigenvalue of X⁻¹cov(e)/s² just before a sample. For a sample
+covariance this is biased upwards: the first line gives its values if cov(e) were X itself.
 """
 
 from dataclasses import replace
@@ -36,10 +36,10 @@ _INSTANTS = (0.5, 1.0, 2.0, 5.0, 10.0)
 _ACCEPTED = 1.15
 _RESAMPLES = 200
 _WALK = 1e6
-"""A drift with so long a time constant is a random walk for the length of a run [s]."""
+"""A drift with a time constant this long is a random walk over the length of a run [s]."""
 
 _SAMPLES = 1_000_000
-"""Samples that are simulated at a time, which bounds the memory."""
+"""Number of samples that are simulated at a time, which bounds the memory."""
 
 _REST = {"initial_state": (0.0,) * 4, "initial_spread": (0.01, 0.01, 0.1, 0.1)}
 _MOTIONS: dict[str, dict[str, Any]] = {
@@ -51,18 +51,18 @@ _MOTIONS: dict[str, dict[str, Any]] = {
 
 
 class _Noise(NamedTuple):
-    """How much larger the deviations of the sensor's and of the process noise are than designed."""
+    """Factors of the designed standard deviations of the sensor's and of the process noise."""
 
     sensor: float = 1.0
     process: float = 1.0
 
 
 class _Spread(NamedTuple):
-    """What one campaign found.
+    """The result of one campaign.
 
     Attributes:
         largest: Largest eigenvalue of X⁻¹cov(e)/s² at each instant, shape (instants,).
-        deviation: 1σ of each, from resampling normal errors with the covariance found.
+        deviation: 1σ of each, by resampling normal errors with the covariance that was found.
         widest: Largest |q₁| and |q̂₁| of all runs [rad].
     """
 
@@ -72,7 +72,7 @@ class _Spread(NamedTuple):
 
 
 def _scenario(design: Design, motion: dict[str, Any], scale: _Noise) -> Scenario:
-    """Return what the design assumes, moved otherwise, with larger noise."""
+    """Return the design's assumptions as a scenario, with a motion and larger noise."""
     request, square = design.request, scale.process * scale.process
     density = square * request.disturbance[0]["density"]
     noise = request.process_noise
@@ -116,7 +116,7 @@ def _campaign(
         stamps = stamps_of(part.times)
         for index, errors in zip(instants, found, strict=True):
             rows, seen = [], slice(index + 1)
-            # A last sample that is lost leaves the estimate as it is just before it.
+            # If the last sample is lost, the estimate stays as it is just before the sample.
             y = part.measurements[:, seen].copy()
             y[:, index] = np.nan
             for run in range(len(seeds)):
@@ -143,7 +143,7 @@ def _deviation(errors: Array, root: Array, rng: np.random.Generator) -> float:
 
 
 def _if_tight(runs: int, n: int) -> dict[str, float]:
-    """Return where the largest eigenvalue would lie if cov(e) were X itself."""
+    """Return the distribution of the largest eigenvalue if cov(e) were X itself."""
     rng = np.random.default_rng(0)
     drawn = [_largest(rng.standard_normal((runs, n)), np.eye(n)) for _ in range(5 * _RESAMPLES)]
     middle, high = np.quantile(drawn, [0.5, 0.99]).tolist()

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the benchmarks share: one thread, a ROS domain, a line on the machine, text or JSON."""
+"""Shared code of the benchmarks: one thread, a ROS domain, a line on the machine, text or JSON."""
 
 import argparse
 import fcntl
@@ -27,10 +27,10 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def use_one_thread() -> None:
-    """Start the script again with BLAS on one thread, unless it is already so.
+    """Start the script again with BLAS on one thread, unless it already has one.
 
-    The libraries read these variables when they are loaded, which is before any line of a script
-    can set them.
+    The libraries read these variables when they are loaded, before any line of a script can set
+    them.
     """
     if all(os.environ.get(name) == "1" for name in _THREADS):
         return
@@ -54,7 +54,7 @@ def parser(description: str | None, *, design: bool = True) -> argparse.Argument
 
 
 def at_least(least: float, kind: type[float] = float) -> Callable[[str], float]:
-    """Return the type of an option that is a number, or an integer, of at least so much."""
+    """Return the type of an option that is a number, or an integer, of at least `least`."""
 
     def read(text: str) -> float:
         value = kind(text)
@@ -62,14 +62,14 @@ def at_least(least: float, kind: type[float] = float) -> Callable[[str], float]:
             raise argparse.ArgumentTypeError(f"expected at least {least:g}, got {text}")
         return value
 
-    read.__name__ = kind.__name__  # argparse names it if the text is no number
+    read.__name__ = kind.__name__  # argparse names it if the text is not a number
     return read
 
 
 def claim_domain() -> int:
-    """Return a ROS domain that is this process's until it ends.
+    """Return a ROS domain that belongs to this process until it ends.
 
-    No other process has it that claims domains by the same locks, as the tests do.
+    No other process that claims domains by the same locks has it; the tests use these locks, too.
     """
     folder = Path(tempfile.gettempdir()) / f"tsobs_ros_test_domains_{os.getuid()}"
     folder.mkdir(exist_ok=True)
@@ -89,7 +89,7 @@ def claim_domain() -> int:
 def join_ros(domain: int | None = None) -> Any:
     """Start rclpy in a domain, that of the environment if None, and return it.
 
-    Its signal handlers are left out: under them a loop of one's own goes on after SIGTERM.
+    Its signal handlers are left out, because with them a script's own loop goes on after SIGTERM.
     """
     import rclpy
     from rclpy.signals import SignalHandlerOptions
@@ -99,7 +99,7 @@ def join_ros(domain: int | None = None) -> Any:
 
 
 def design_of(options: argparse.Namespace) -> Design:
-    """Return the design a benchmark was asked to use, its certificate checked."""
+    """Return the design that a benchmark's options name, with its certificate checked."""
     try:
         return load_design(options.design or config_path(SHIPPED_DESIGN))
     except TsobsError as error:
@@ -107,14 +107,14 @@ def design_of(options: argparse.Namespace) -> Design:
 
 
 def timed(action: Callable[[], object]) -> float:
-    """Return how long something takes [s]."""
+    """Return the duration of an action [s]."""
     begun = time.perf_counter()
     action()
     return time.perf_counter() - begun
 
 
 def machine() -> dict[str, Any]:
-    """Return the versions and the processor, on which numbers depend."""
+    """Return versions and the processor, on which the numbers depend."""
     import numpy as np
 
     model = platform.processor() or platform.machine()
@@ -130,7 +130,7 @@ def machine() -> dict[str, Any]:
 
 
 def show(results: Mapping[str, Any], text: str, as_json: bool) -> None:
-    """Print the results with the machine they were measured on."""
+    """Print the results and the machine on which they were measured."""
     here = machine()
     if as_json:
         print(json.dumps({"machine": here, **results}, indent=2, allow_nan=False))

@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The constants of the bank of hypotheses: what half and twice of each do, and what parts are for.
+"""The constants of the bank of hypotheses: effects of halving and doubling each, and of each part.
 
 Every variant runs over the same scenarios. Its error is the geometric mean, over scenarios and
-runs, of the normalised error, relative to that of the constants as they are. A claim is broken if
-any error is beyond three bounds. The ablations switch off one part each.
+runs, of the normalised error, relative to that with the present constants. A claim is broken if any
+error is beyond three bounds. The ablations switch off one part each.
 """
 
 import sys
@@ -41,16 +41,16 @@ SCENES = (
     "tone_0.1_3", "tone_0.03_8", "wander", "heavy_link", "backlash_0.03", "stiff_missing",
     "mix_stiff_outliers_step",
 )  # fmt: skip
-"""Scenarios that together have all that the bank is for."""
+"""Scenarios that together need all parts of the bank."""
 
 JOINTS = ("stiff_hits_3", "stiff_motor", "light_hits_10", "light_motor_hits_3")
 """Precise joints."""
 
 ELSEWHERE = "put_elsewhere"
-"""An arm, 20 % stiffer, that is put elsewhere after 40 s."""
+"""A scenario with an arm that is 20 % stiffer and is moved elsewhere after 40 s."""
 
 _OFF = 1e9
-"""More than any price or sign."""
+"""A value above any price or sign."""
 
 ABLATIONS: dict[str, dict[str, float]] = {
     "no FORCE": {"FORCE_SHARE": 0.0},
@@ -73,11 +73,11 @@ ABLATIONS: dict[str, dict[str, float]] = {
     "no widening": {"QUIET": _OFF},
     "no CURVED": {"CURVED": 0.0},
 }  # fmt: skip
-"""What is changed of constants and of the model's record, by what is lost."""
+"""Changes of constants and of the model's record, by the part that is lost."""
 
 
 def put_elsewhere(seeds: Sequence[int]) -> Trajectories:
-    """Return runs whose arm stands at another angle from 40 s on, at once."""
+    """Return runs whose arm is suddenly at another angle from 40 s on."""
     before = SCENARIOS["stiff"]
     after = replace(before, initial_state=(1.0, 0.0, 1.0, 0.0))
     one, other = simulate(before, seeds), simulate(after, [seed + 1000 for seed in seeds])
@@ -90,10 +90,10 @@ def put_elsewhere(seeds: Sequence[int]) -> Trajectories:
 
 
 class Score(NamedTuple):
-    """What a variant did in a scenario, each of shape (runs,).
+    """The results of a variant in a scenario, each of shape (runs,).
 
     Attributes:
-        errors: Normalised error; of a precise joint the hidden angle's [rad].
+        errors: Normalised error; for a precise joint, the error of the hidden angle [rad].
         claimed: Share of samples with claimed bounds.
         broken: Share of samples with claimed bounds and an error beyond them.
     """
@@ -104,7 +104,7 @@ class Score(NamedTuple):
 
 
 def variants() -> dict[str, dict[str, float]]:
-    """Return all changes by a name."""
+    """Return all changes by the name of the variant."""
     found: dict[str, dict[str, float]] = {"": {}} | ABLATIONS
     for name, (value, _) in CONSTANTS.items():
         found |= {f"{name} / 2": {name: 0.5 * value}, f"{name} × 2": {name: 2.0 * value}}
@@ -112,7 +112,7 @@ def variants() -> dict[str, dict[str, float]]:
 
 
 def observed(runs: Trajectories, design: Design, changes: Mapping[str, float]) -> Observed:
-    """Return what the node estimates with other constants."""
+    """Return the node's estimates with other constants."""
     settings = ObserverSettings()
     estimator = make_estimator(design, settings)
     names, model = list(CONSTANTS), estimator.model[0]
@@ -127,7 +127,7 @@ def observed(runs: Trajectories, design: Design, changes: Mapping[str, float]) -
 
 
 def _judged(runs: Trajectories, found: Observed, hidden: int | None) -> Score:
-    """Return how good estimates are over the second half of the runs."""
+    """Return the score of estimates over the second half of the runs."""
     late = runs.times >= 0.5 * runs.times[-1]
     away = (found.rows["state"] - runs.physical)[:, late]
     kept = (np.abs(away) <= SIGMAS * found.rows["state_bound"][:, late]).all(axis=2)
@@ -144,7 +144,7 @@ def _judged(runs: Trajectories, found: Observed, hidden: int | None) -> Score:
 
 
 def _work(job: tuple[str, tuple[int, ...]]) -> tuple[str, dict[str, Score]]:
-    """Return what all variants do in a scenario."""
+    """Return the scores of all variants in a scenario."""
     name, seeds = job
     if name not in JOINTS:
         design, hidden = load_design(config_path(SHIPPED_DESIGN)), None
@@ -160,10 +160,10 @@ def _work(job: tuple[str, tuple[int, ...]]) -> tuple[str, dict[str, Score]]:
 
 
 class Effect(NamedTuple):
-    """What a variant does over all scenarios.
+    """The effect of a variant over all scenarios.
 
     Attributes:
-        error: Geometric mean of the errors, relative to that of the constants as they are.
+        error: Geometric mean of the errors, relative to that with the present constants.
         worst: The scenario in which it loses most, and by how much.
         claimed: Share of samples with claimed bounds.
         broken: Share of these with an error beyond them.

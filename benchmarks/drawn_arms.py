@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Arms, encoders, rates and faults that are drawn: ours beside two gated EKFs.
+"""Randomly drawn arms, encoders, rates and faults: ours next to two gated EKFs.
 
-Each arm gets a design of its own and one run of half a minute. Drawn are inertias, stiffness and
-dampings, process noise, the encoder's side and noise, the motion, how far parameters are off, and
-what else is wrong. The errors of the four states are divided by the standard deviations of their
-motion; the rivals are those of acceptance.py.
+Each arm gets its own design and one run of half a minute. The draw covers inertias, stiffness and
+dampings, process noise, the encoder's side and noise, the motion, the errors of the parameters, and
+other faults. The errors of the four states are divided by the standard deviations of their motion;
+the rivals are those of acceptance.py.
 """
 
 import sys
@@ -32,18 +32,18 @@ from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import BiasStep, GaussMarkov, Signal, Sine, Sinusoid
 
 DURATION, _JUDGED = 30.0, 10.0
-"""Length of a run, and when judging begins [s]."""
+"""Length of a run, and time at which judging begins [s]."""
 
 _RATES = (100.0, 200.0, 250.0, 500.0, 1000.0)
 _WORSE = 1.15
 """A ratio above this counts as worse."""
 
 _LOG_RATIO = log(100.0)
-"""A ratio counts as a hundred at most in the mean, and as a hundredth at least."""
+"""In the mean, a ratio counts as a hundred at most and as a hundredth at least."""
 
 
 class Case(NamedTuple):
-    """A drawn arm: what the design is made for, what happens, and the group of the table."""
+    """A drawn arm: the request of its design, its scenario, and its group in the table."""
 
     request: ArmRequest
     scenario: Scenario
@@ -51,7 +51,7 @@ class Case(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """Our error over the better EKF's, and shares: of claimed samples, of these beyond 3 bounds."""
+    """Our error over the better EKF's, share of claimed samples, share of these beyond 3 bounds."""
 
     group: str
     ratio: float
@@ -60,7 +60,7 @@ class Judged(NamedTuple):
 
 
 def drawn(seed: int) -> Case:
-    """Draw an arm with its encoder, and what is wrong."""
+    """Draw an arm with its encoder and its faults."""
     random = np.random.default_rng(seed)
 
     def between(least: float, most: float) -> float:
@@ -126,7 +126,7 @@ def drawn(seed: int) -> Case:
 def compared(
     group: str, states: Array, rows: Mapping[str, Array], claims: Array, rivals: Sequence[Array]
 ) -> Judged:
-    """Judge estimates of a run, `state` and `state_bound` of rows, beside those of the rivals."""
+    """Judge estimates of a run, `state` and `state_bound` of rows, against those of the rivals."""
     broken = (np.abs(rows["state"] - states) > SIGMAS * rows["state_bound"]).any(axis=1)
     claimed = claims > 0.0
     return Judged(
@@ -159,7 +159,7 @@ def judged(seed: int) -> Judged:
 
 
 def table(results: Sequence[Judged], groups: Sequence[str], *first: str) -> Iterator[str]:
-    """Yield a row of each group and one of all, in Markdown; two columns have their own heads."""
+    """Yield a row per group and one for all, in Markdown; `first` has the heads of two columns."""
     yield from head(*first, "ratio", f"above {_WORSE}", "claimed", "broken")
     for group in [*groups, "all"]:
         each = [one for one in results if group in (one.group, "all")]
@@ -175,7 +175,7 @@ def table(results: Sequence[Judged], groups: Sequence[str], *first: str) -> Iter
 
 
 def _page(results: Sequence[Judged], first: int) -> Iterator[str]:
-    """Yield what was found, as Markdown."""
+    """Yield the results, as Markdown."""
     yield f"{len(results)} arms, seeds {first} to {first + len(results) - 1}.\n"
     groups = sorted({one.group for one in results}, key=len)
     yield from table(results, groups, "what is wrong", "arms")

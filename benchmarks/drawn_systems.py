@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""T–S systems that are drawn, each with eight kinds of trouble: ours beside EKFs of its model.
+"""Randomly drawn T–S systems, each with eight kinds of trouble: ours next to EKFs of its model.
 
-A system is a pendulum, two masses with a hardening spring between them, or matrices at random. Each
-gets a design of its own and half a minute of every trouble; seeds without a design are counted. The
+A system is a pendulum, two masses with a hardening spring between them, or random matrices. Each
+gets its own design and half a minute of every trouble; seeds without a design are counted. The
 errors of the states are divided by the standard deviations of their motion. The rivals are a plain
-EKF, a gated one and, where a parameter is learnt, a gated one with it as a state.
+EKF, a gated one and, if a parameter is learnt, a gated one with the parameter as a state.
 """
 
 import sys
@@ -35,7 +35,7 @@ from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import BiasStep, Constant, GaussMarkov, Multisine, Sine, Sinusoid
 
 _JUDGED = 5.0
-"""When judging begins [s]."""
+"""Time at which judging begins [s]."""
 
 _FAR = 1e4
 """A run that goes further than this is not judged."""
@@ -46,21 +46,21 @@ _TROUBLES = (
 )  # fmt: skip
 
 _HARDENING = {2: (1.0, 1.4), 3: (1.6, 1.0, 1.6)}
-"""Stiffness of the spring in each of so many rules."""
+"""Stiffness of the spring in each rule, by the number of rules."""
 
 
 class Drawn(NamedTuple):
-    """Matrices of a system, each of the rules' in turn if they differ, and what belongs to them.
+    """Matrices of a system, with one per rule if the rules differ, and its other numbers.
 
     Attributes:
-        A, B, C: Those of its states.
-        premise: Row of the one premise; zero if that is a scheduled signal.
+        A, B, C: State, input and output matrices.
+        premise: Row of the single premise; zero if the premise is a scheduled signal.
         E: Direction of the uncertain parameter.
         memberships: Shape of the memberships.
-        modes: How fast it is [rad/s].
+        modes: Frequencies of its modes [rad/s].
         amplitude: Of the input.
         pushed: States whose derivatives have noise.
-        width: Half width of the premise; None for that of the motion.
+        width: Half width of the premise; None for the width of the motion.
         slopes: Vertices of the certificate; the rules' matrices if there are none.
     """
 
@@ -78,7 +78,7 @@ class Drawn(NamedTuple):
 
 
 class Case(NamedTuple):
-    """What the design is for, what happens without trouble, and typical rates of the states."""
+    """The request, the scenario without trouble, and typical rates of the states."""
 
     request: TSRequest
     scenario: SystemScenario
@@ -154,7 +154,7 @@ def _matrices(random: np.random.Generator) -> Drawn:
 
 
 def _modes(random: np.random.Generator, n: int, is_chain: bool) -> tuple[Array, list[float]]:
-    """Return a matrix of modes from 0.5 to 8 rad/s that are coupled, and these."""
+    """Return a matrix with coupled modes from 0.5 to 8 rad/s, and the frequencies of the modes."""
     A, modes, at = np.zeros((n, n)), list[float](), 0
     while at < n:
         w = _between(random, 0.5, 8.0)
@@ -185,7 +185,7 @@ def _memberships(kind: str, rules: int, width: float) -> list[Membership]:
     if kind == "gaussian":
         return [membership(kind, {"centre": c, "width": 0.6 * gap}) for c in centres.tolist()]
     corners = np.add.outer(centres, gap * np.array([-0.8, -0.2, 0.2, 0.8]))
-    corners[0, :2] -= 99.0 * gap  # outside of the range the outer ones are level
+    corners[0, :2] -= 99.0 * gap  # outside of the range the outer memberships are constant
     corners[-1, 2:] += 99.0 * gap
     names = ("left", "top_left", "top_right", "right")
     return [membership(kind, dict(zip(names, one, strict=True))) for one in corners.tolist()]
@@ -194,7 +194,7 @@ def _memberships(kind: str, rules: int, width: float) -> list[Membership]:
 def _disturbance(
     random: np.random.Generator, sigma: float, clean: float
 ) -> tuple[DisturbanceTerm, tuple[BiasStep | GaussMarkov | Sinusoid, ...]]:
-    """Return a sensor's disturbance in a design and as it is; none with a probability."""
+    """Return a sensor's disturbance as modelled and as simulated; none with probability `clean`."""
     what = random.random()
     if what < clean:
         return DisturbanceTerm("clean"), ()
@@ -223,7 +223,7 @@ def drawn(seed: int) -> Case | None:
         drive = Multisine(size, 0.4 * frequency, 2.0 * frequency, 5)
     schedule = [Sine(1.0, _between(random, 0.1, 2.0))] if is_scheduled else []
     width, start, luck = system.width or 1.0, np.zeros(n), random.normal(size=n)
-    for _ in range(5):  # start and width of the premise follow from the motion, and it from them
+    for _ in range(5):  # start and premise width depend on the motion, and the motion on them
         base = RuleBase(tuple((one,) for one in _memberships(system.memberships, rules, width)))
         scheduled = np.ones((1, int(is_scheduled)))
         model = TSModel(system.A, system.B, system.C, base, system.premise, scheduled)
@@ -267,7 +267,7 @@ def drawn(seed: int) -> Case | None:
 
 
 def troubled(case: Case, trouble: str, seed: int) -> SystemScenario:
-    """Return what happens with a trouble; an unknown input comes after the known one."""
+    """Return the scenario with a trouble; an unknown input comes after the known one."""
     random = np.random.default_rng([seed, _TROUBLES.index(trouble), 7])
     request, scenario = case.request, case.scenario
     model, sensors = request.model, [output.sensor for output in scenario.outputs]

@@ -1,11 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Which fault the monitor names, how soon, and how often where there is none.
+"""The faults that the monitor names, the time until it does, and its false alarms.
 
-The observer is the one the node runs, with the default design: its disturbance is a bias, and it
-learns stiffness and gravity. Faults
-set in at 30 s of a minute; the share of the time that each kind is reported is taken from 5 s
-later on, for a stuck sensor until it is free again.
+The observer is that of the node, with the default design: its disturbance is a bias, and it learns
+stiffness and gravity. Faults begin at 30 s of a minute. The share of the time in which each kind is
+reported counts from 5 s later on; for a stuck sensor, until the sensor is free again.
 """
 
 import math
@@ -41,7 +40,7 @@ _OUTLIERS = Sensor(outlier_probability=0.1, outlier_size=math.pi, outlier_is_uni
 
 
 class _Case(NamedTuple):
-    """A scenario, its sensor from the onset on, and what is right to report."""
+    """A scenario, its sensor from the onset on, and the right kind to report."""
 
     expected: FaultKind
     scenario: Scenario = _NOISE
@@ -82,7 +81,7 @@ _CASES = {
 
 
 class _Run(NamedTuple):
-    """Kind at each sample, and the CPU time of the monitor's call at each [ns]."""
+    """The kind and the CPU time of the monitor's call [ns] at each sample."""
 
     kinds: list[FaultKind]
     costs: list[int]
@@ -108,14 +107,14 @@ def _run(design: Design, case: _Case, seed: int, duration: float) -> _Run:
 
 
 def _first(kinds: list[FaultKind], rate: float, wanted: set[FaultKind]) -> float:
-    """Return how long after the onset one of the kinds is first reported [s], else infinity."""
+    """Return the time from the onset to the first report of one of the kinds [s], or infinity."""
     begin = round(_ONSET * rate)
     found = (place for place, kind in enumerate(kinds[begin:]) if kind in wanted)
     return next(found, math.inf) / rate
 
 
 def _alarms(kinds: list[FaultKind]) -> int:
-    """Return how often something is reported after nothing was."""
+    """Return how often a report follows a time without one."""
     none = FaultKind.NONE
     return sum(a is none and b is not none for a, b in pairwise(kinds))
 
@@ -134,7 +133,7 @@ def _measure(design: Design, case: _Case, seeds: list[int], noise_duration: floa
     noticed = [_first(run.kinds, rate, others) for run in runs] if timed else []
     named = [_first(run.kinds, rate, {case.expected}) for run in runs] if timed else []
     costs = np.concatenate([np.array(run.costs) for run in runs])
-    # Before its onset a fault is none; a wrong arm is wrong from the start.
+    # Before its onset there is no fault; a wrong arm is wrong from the start.
     quiet = None if pure else round(_ONSET * rate)
     hours = 0.0 if constant else sum(len(run.kinds[:quiet]) for run in runs) / rate / 3600.0
     return {
@@ -149,7 +148,7 @@ def _measure(design: Design, case: _Case, seeds: list[int], noise_duration: floa
 
 
 def _median(delays: list[float]) -> float | None:
-    """Return the median, None if more than half never came to it."""
+    """Return the median, or None if too many delays are infinite for a finite median."""
     middle = sorted(delays)[len(delays) // 2] if delays else math.inf
     return middle if math.isfinite(middle) else None
 

@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Fits of joints whose numbers are known, from a data sheet that is 30 % wrong everywhere.
+"""Fits of joints with known numbers, starting from a data sheet that is 30 % wrong everywhere.
 
-Each joint is simulated for half a minute, moved by many tones, and fitted to its encoders.
-Then an observer of the fitted request, with the motor's encoder alone, observes another motion,
-beside observers of the request that has the true numbers and of the sheet's. N is the root mean
-square of the states' errors by the states' own deviations.
+Each joint is simulated for half a minute, moved by many tones, and fitted to its encoders. Then
+observers of three requests observe another motion, with the motor's encoder alone: the fitted
+request, the one with the true numbers, and that of the sheet. N is the root mean square of the
+states' errors divided by the states' own deviations.
 """
 
 import json
@@ -32,7 +32,7 @@ _LEVEL = ts.ElasticJointArm(0.0059, 0.0021, 1.61, 0.0, 0.0, 0.1109)
 
 
 class Truth(NamedTuple):
-    """A joint: arm, encoders in the recording, friction [N m], its drive, tones [N m, Hz]."""
+    """A joint: arm, encoders in the recording, friction [N m], drive, and tones [N m, Hz]."""
 
     arm: ts.ElasticJointArm
     outputs: tuple[str, ...] = ("motor_angle", "link_angle")
@@ -87,7 +87,7 @@ def _run(truth: Truth, request: ArmRequest, duration: float, seed: int) -> Any:
 
 
 def _observed(request: ArmRequest, run: Any) -> tuple[float, float, float]:
-    """Return N, the share that is claimed, and the share of that inside three bounds."""
+    """Return N, the share of claimed samples, and the share of these inside three bounds."""
     chosen = [each for each in request.sensors if each.measures != "link_angle"]
     one = replace(request, outputs=chosen or list(request.sensors))
     angle = run.angle.reshape(len(run.time), -1)[:, :1]

@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Read hostile files: every one must be read or refused, soon and in little memory.
+"""Hostile files: each one must be read or refused, soon and in little memory.
 
     python benchmarks/fuzz.py --inputs 100000
 
-Each input is a good file with a few mutations, and must end in a result or in a TsobsError within
-five seconds, in a process whose address space is limited. What ends otherwise is kept and listed.
+Each input is a good file with a few mutations. Reading it must end in a result or a TsobsError
+within five seconds, in a process with a limited address space. Failing inputs are kept and listed.
 """
 
 import argparse
@@ -38,10 +38,10 @@ _KEPT = 5
 
 @dataclass
 class Outcome:
-    """What became of the inputs of one target.
+    """The outcomes of the inputs of one target.
 
     Attributes:
-        target: Its name.
+        target: Name of the target.
         results: Counts: read, refused, or the kind of the failure.
         failures: The first failures: traceback, and where the input is kept.
         slowest: Longest time for one input [s].
@@ -60,19 +60,19 @@ class _HangError(Exception):
 
 
 def fuzz(name: str, target: Target, inputs: int, seed: int, folder: Path, keep: Path) -> Outcome:
-    """Read `inputs` mutated files and return what became of them.
+    """Read `inputs` mutated files and return the outcomes.
 
     Args:
         name: The target's name.
-        target: What to fuzz.
-        inputs: How many files to read.
+        target: The reader to fuzz.
+        inputs: Number of files to read.
         seed: Of the mutations.
-        folder: Where the file that is read is written.
-        keep: Where inputs that failed are kept.
+        folder: Folder for the file that is read.
+        keep: Folder for inputs that failed.
     """
     outcome, random_ = Outcome(name), random.Random(f"{seed} {name}")
     path = folder / target.file_name
-    for seed_file in target.seeds:  # what is loaded on first use is so before it counts
+    for seed_file in target.seeds:  # loads beforehand everything that the first use loads
         path.write_bytes(seed_file)
         with suppress(TsobsError):
             target.read(path)
@@ -89,7 +89,7 @@ def fuzz(name: str, target: Target, inputs: int, seed: int, folder: Path, keep: 
             result = "read"
         except TsobsError:
             result = "refused"
-        except Exception as error:  # whatever it is, it is what is looked for
+        except Exception as error:  # any such error is a finding
             result = f"{type(error).__name__}"
             _keep(outcome, keep / f"{name}_{number}", data)
         finally:
@@ -97,7 +97,7 @@ def fuzz(name: str, target: Target, inputs: int, seed: int, folder: Path, keep: 
         outcome.slowest = max(outcome.slowest, time.monotonic() - begun)
         outcome.results[result] += 1
         if number == min(200, inputs // 2):
-            memory = _memory()  # what is loaded once is loaded by now
+            memory = _memory()  # everything that is loaded only once is loaded by now
     outcome.growth = (_memory() - memory) / 2**20
     return outcome
 
@@ -130,7 +130,7 @@ def _in_process(job: tuple[str, int, int, Path]) -> Outcome:
 
 
 def main() -> int:
-    """Fuzz all targets and return 1 if any input ended in a way it must not."""
+    """Fuzz all targets and return 1 if any input ended in a forbidden way."""
     made = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     made.add_argument(
         "--inputs", type=at_least(1, int), default=100_000, help="in all (default: 100,000)"

@@ -60,7 +60,7 @@ def chunk(
     size: int | None = None,
     crc: int | None = None,
 ) -> bytes:
-    """Return a chunk, which may lie about its content."""
+    """Return a chunk, which may have a wrong size or checksum."""
     pack = {"": bytes, "zstd": zstandard.compress, "lz4": lz4.frame.compress}[compression]
     data, name = pack(records), compression.encode()
     size = len(records) if size is None else size
@@ -86,8 +86,8 @@ def finished(
 
     Args:
         path: The file.
-        data: Its pieces; each that is a chunk is indexed.
-        summary: Returns the records of the summary instead, given places and sizes of the pieces.
+        data: Its pieces; by default each is indexed as a chunk.
+        summary: Returns other records for the summary, given places and sizes of the pieces.
         counts: The numbers of messages and channels that the statistics state.
     """
     with path.open("wb") as stream:
@@ -146,7 +146,7 @@ def _unfinished(folder: Path, *parts: bytes) -> None:
 
 
 def _wrapped_alikes() -> bytes:
-    """Return heads of chunks without checksum, inside of valid records, up to a wrong one."""
+    """Return heads of chunks without checksum, inside valid records, up to a wrong one."""
     parts, left = [], _SIZE
     while left > 400:
         filler = record(0x80, b"") * 20
@@ -159,7 +159,7 @@ def _wrapped_alikes() -> bytes:
 
 
 def _bombs(compression: str, unit: bytes, **lies: int) -> Callable[[Path], None]:
-    """Make twenty chunks of 250 MB, which may lie about it."""
+    """Make twenty chunks of 250 MB, which may state other sizes."""
 
     def make(folder: Path) -> None:
         finished(
@@ -242,7 +242,7 @@ def _same_index(folder: Path) -> None:
 
 
 def _channels(folder: Path) -> None:
-    """As many channels as there can be, of one large type, with different offers each."""
+    """As many channels as there can be, of one large type, each with different offers."""
     schema = Schema(id=1, data=b"int8 a\n" * 200_000, encoding="ros2msg", name=STRING)
 
     def summary(_: object) -> Iterator[bytes]:
@@ -372,4 +372,4 @@ BAGS: Mapping[str, Callable[[Path], object]] = {
     "loop of links": lambda folder: (folder / NAME).symlink_to(NAME),
     "folder": lambda folder: (folder / NAME).mkdir(),
 }
-"""What makes each bag, by name, given an empty folder: one file. None is made on import."""
+"""Functions that make one file each in an empty folder, by the bag's name; none runs on import."""

@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure what crafted bags cost at most: processor time and memory of each command.
+"""Largest cost of crafted bags: processor time and memory of each command.
 
     python benchmarks/fuzz_bounds.py
 
-Each bag is small for the work it causes. Each command runs in a separate process, which is
-ended if it exceeds the bounds of docs/security.md.
+Each bag is small compared with the work that it causes. Each command runs in a separate process; a
+process that exceeds the bounds of docs/security.md is reported.
 """
 
 import argparse
@@ -26,7 +26,7 @@ MAX_MEMORY = 600
 SECONDS = 5.0
 SECONDS_PER_MB = 1.0
 SECONDS_PER_GB = 2.0
-"""Processor time of a command: so much, for each MB that is stored, and for each GB of the file."""
+"""Processor time of a command: a constant, plus a share per stored MB and per GB of the file."""
 
 COMMANDS = ("info", "verify", "recover", "read")
 
@@ -45,7 +45,7 @@ def run(command: str, bag: Path, patience: float = 600.0) -> tuple[float, float,
 
     Args:
         command: One of `COMMANDS`; `read` reads all messages, and the last ones of each topic.
-        bag: What to run it on.
+        bag: The bag to run it on.
         patience: Processor time after which the process is killed [s].
 
     Returns:
@@ -53,7 +53,7 @@ def run(command: str, bag: Path, patience: float = 600.0) -> tuple[float, float,
     """
     code = [sys.executable, __file__, "--one", command, str(bag), "--patience", str(patience)]
     try:
-        # A process that waits without end takes no processor time.
+        # A process that waits for ever uses no processor time.
         done = subprocess.run(
             code, capture_output=True, text=True, check=False, timeout=20.0 * patience
         )
@@ -68,7 +68,7 @@ def run(command: str, bag: Path, patience: float = 600.0) -> tuple[float, float,
 
 
 def _one(command: str, bag: Path, patience: float) -> int:
-    """Run a command in this process and print what it has cost."""
+    """Run a command in this process and print its cost."""
     resource.setrlimit(resource.RLIMIT_CPU, (int(patience) + 1, int(patience) + 2))
     from tsobs_ros.bag.reader import BagReader
     from tsobs_ros.cli.main import main as tsobs
@@ -108,7 +108,7 @@ def measure(names: list[str]) -> Iterator[tuple[str, str, float, float, float, i
         with tempfile.TemporaryDirectory() as folder:
             bag = Path(folder) / "bag"
             bag.mkdir()
-            # In another process, whose memory is not inherited by those that are measured.
+            # In another process, so that the measured processes do not inherit its memory.
             maker = multiprocessing.get_context("spawn").Process(target=_make, args=(name, bag))
             maker.start()
             maker.join()

@@ -1,14 +1,14 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Feed the compiled core hostile samples, settings and files: it refuses them, or stays finite.
+"""Hostile samples, settings and files for the compiled core: it refuses them, or stays finite.
 
     make fuzz FUZZ_ARGS="--inputs 100000"
 
 Each input is a tracker of a random design, method and settings, and random batches of samples with
 NaN, infinities and huge values, stamps of any order and size, and arrays of wrong lengths and
-types; or an exported design that is cut, changed, or sealed again after a change. What is published
-must be finite. Only a core with sanitizers shows what is read or written out of bounds; it ends the
-process then, and the file that --note names has the seed and the number of the input.
+types; or an exported design that is cut, changed, or sealed again after a change. Published numbers
+must be finite. Only a core with sanitizers detects accesses out of bounds; it then ends the
+process, and the file of --note has the seed and the number of the input.
 """
 
 import argparse
@@ -70,7 +70,7 @@ def designs() -> tuple[ts.Design, ...]:
 
 
 def _numbers(random_: random.Random, *shape: int) -> Any:
-    """Return samples, most of which are possible, now and then of another shape or type."""
+    """Return samples, most of them possible, sometimes of another shape or type."""
     count = int(np.prod(shape))
     values = [
         random_.gauss(0.0, 1.0) if random_.random() < 0.8 else random_.choice(_VALUES)
@@ -86,7 +86,7 @@ def _numbers(random_: random.Random, *shape: int) -> Any:
 
 
 def attack_tracker(random_: random.Random) -> str:
-    """Offer samples in any order, and read estimates; return what became of it."""
+    """Offer samples in any order, and read estimates; return the outcome."""
     design = random_.choice(designs())
     settings = ts.ObserverSettings(
         method=random_.choice(_METHODS),
@@ -118,13 +118,13 @@ def attack_tracker(random_: random.Random) -> str:
 
 
 def attack_export(random_: random.Random, folder: Path) -> str:
-    """Open an exported design that was changed; return what became of it."""
+    """Open an exported design that was changed; return the outcome."""
     path = folder / "design.tsobs"
     export_c(random_.choice(designs()), path, max_steps=random_.choice((1, 4, 1024)))
     words = np.frombuffer(path.read_bytes(), np.int64).copy()
     for _ in range(random_.randint(0, 3)):
         place = random_.randrange(len(words))
-        # Sizes and the start of a history stand in front and at the end.
+        # Sizes are at the beginning, the start of a history is at the end.
         place = random_.choice((place, place % 40, -1 - place % 24))
         change = random_.choice((-1, 0, 1, 1000, 2**31, 2**62, words[place] ^ 1 << place % 63))
         words[place] = change
@@ -155,12 +155,12 @@ def step_export(words: Any, room: int) -> None:
 
 
 def fuzz(inputs: int, seed: int, note: Callable[[str], object]) -> tuple[Counter[str], float]:
-    """Attack so many times; return what became of the inputs, and the longest time [s].
+    """Attack with many inputs; return the counts of the outcomes, and the longest time [s].
 
     Args:
-        inputs: How many.
+        inputs: Number of inputs.
         seed: Of the changes.
-        note: Called with what is attacked next.
+        note: Called with the seed and the number of the next input.
     """
     results: Counter[str] = Counter()
     longest = 0.0

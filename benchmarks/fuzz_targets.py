@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is fuzzed: everything that reads a file, with good files to start from."""
+"""The targets of fuzzing: everything that reads a file, with good files to start from."""
 
 import random
 import shutil
@@ -33,9 +33,9 @@ class Target:
 
     Attributes:
         seeds: Good files.
-        mutate: Makes a hostile one of a good one.
+        mutate: Makes a hostile file from a good one.
         read: Reads the file at a path; may raise a TsobsError and nothing else.
-        file_name: What the file is called inside its folder.
+        file_name: Name of the file inside its folder.
     """
 
     seeds: tuple[bytes, ...]
@@ -45,7 +45,7 @@ class Target:
 
 
 def design_target(_: Path) -> Target:
-    """Return the arm's design files: what holds must also step, to finite numbers."""
+    """Return the arm's design files: one that holds must also step, to finite numbers."""
 
     def read(path: Path) -> None:
         design = parse_design(path)
@@ -73,7 +73,7 @@ def ts_target(folder: Path) -> Target:
 
 
 def metadata_target(folder: Path) -> Target:
-    """Return a bag folder's metadata.yaml, beside its good file."""
+    """Return a bag folder's metadata.yaml, next to a good MCAP file."""
     bag = _bag(folder / "bag", "zstd")
     (file,) = bag.glob("*.mcap")
     content = file.read_bytes()
@@ -88,7 +88,7 @@ def metadata_target(folder: Path) -> Target:
 
 
 def bag_target(folder: Path) -> Target:
-    """Return MCAP files: compressed, plain, and without checksums, which would hide the rest."""
+    """Return MCAP files: compressed, plain, and without checksums, which hide other checks."""
     seeds = [
         next(_bag(folder / name, name).glob("*.mcap")).read_bytes()
         for name in ("none", "lz4", "zstd")
@@ -103,7 +103,7 @@ def bag_target(folder: Path) -> Target:
 
 
 def recovery_target(folder: Path) -> Target:
-    """Return the same files, to make a whole bag of and to check."""
+    """Return the same files, to verify and to recover."""
 
     def read(path: Path) -> None:
         output = path.parent / "recovered"
@@ -119,7 +119,7 @@ def recovery_target(folder: Path) -> Target:
 
 
 def message_target(_: Path) -> Target:
-    """Return measurements as they come off the wire."""
+    """Return serialized measurement messages."""
     decode = JointStateDecoder()
     seeds = tuple(
         JointStateEncoder(names)(10**9, values, (), values)
@@ -129,7 +129,7 @@ def message_target(_: Path) -> Target:
 
 
 def log_target(_: Path) -> Target:
-    """Return an arm's own log."""
+    """Return logs of an arm."""
     rows = b"0.0,1.5,0.1\n0.005,1.6,0.2\n0.01,nan,\n0.015,1.7,0.1\n"
     logs = (
         b"time [s],angle [deg],torque [N m]\n" + rows,
@@ -151,7 +151,7 @@ TARGETS: Mapping[str, Callable[[Path], Target]] = {
     "message": message_target,
     "log": log_target,
 }
-"""What makes everything that is fuzzed, by name, given an empty folder for good files."""
+"""Functions that make the targets, by name, given an empty folder for good files."""
 
 
 def _shipped(pattern: str) -> tuple[bytes, ...]:

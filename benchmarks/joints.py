@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of a tick of one joint and of seven: a measurement offered and an estimate asked for.
+"""Cost of a tick of one joint and of seven: offering a measurement and getting an estimate.
 
-Joints are taken one by one, or all of them in one call. Stamps jitter by 20 µs about the period, as
-those of a real clock do, and the joints share no design. All contenders take turns on the same
+Joints are stepped one by one, or all of them in one call. Stamps jitter by 20 µs about the period,
+like those of a real clock, and the joints share no design. All contenders take turns on the same
 samples.
 """
 
@@ -85,7 +85,7 @@ def _costs(counts: list[int], seconds: float) -> dict[str, float]:
     for begin in range(0, min(len(rows) for *_, rows in cases.values()), _TURN):
         for name, (tick, trackers, rows) in cases.items():
             times[name] += [tick(trackers, row, now) for now, row in rows[begin : begin + _TURN]]
-    # The first half is for caches and for the certified gain to take over.
+    # During the first half, caches fill and the certified gain takes over.
     return {name: float(np.median(each[len(each) // 2 :])) / 1e3 for name, each in times.items()}
 
 

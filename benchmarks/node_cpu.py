@@ -1,12 +1,12 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Share of one core that the observer takes as a process over DDS, beside a bare rclpy timer.
+"""Share of one core that the observer takes as a process over DDS, next to a bare rclpy timer.
 
 Each case has a sensor in a separate process, at the observer's rate; with a listener, another
-process takes all that the observer publishes. The reference, in
-the same run, is a node with nothing but an empty timer of that rate, spun by rclpy. User and system
-time come from /proc/<pid>/stat, so all threads of the middleware are in. The design is made for the
-rate, and its gain is the certified one before the first turn.
+process takes everything that the observer publishes. The reference, in the same run, is a node with
+only an empty timer of that rate, spun by rclpy. User and system time come from /proc/<pid>/stat, so
+all threads of the middleware are included. The design is made for the rate, and the certified gain
+is in use before the first turn.
 """
 
 import tempfile
@@ -22,7 +22,7 @@ _WARM_UP = 12.0
 
 
 class _Case(NamedTuple):
-    """What is measured at once."""
+    """The settings of one measurement."""
 
     rate: float
     joints: int

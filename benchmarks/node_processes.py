@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Processes around a node that is measured: the node itself, a sensor, a listener, a reference.
 
-Run as a script, this is one of those that are not installed: `sensor` publishes the measurements
-of some simulated arms from a loop of its own, on a grid of the system clock; `listener` takes
-whatever the observer publishes, as a recorder does, and at the end prints when the estimates are
-for, when they came, and what diagnostics say of the timing; `bare-timer` is a node that does
-nothing but have an empty timer spun by rclpy.
+As a script, this file is one of the processes that are not installed: `sensor` publishes the
+measurements of simulated arms from its own loop, on a grid of the system clock; `listener` takes
+everything that the observer publishes, as a recorder does, and at the end prints the stamps of the
+estimates, the times of their arrival, and the timing diagnostics; `bare-timer` is a node with only
+an empty timer, spun by rclpy.
 """
 
 import argparse
@@ -38,7 +38,7 @@ _DEPTH = 5000
 
 @atexit.register
 def _kill_children() -> None:
-    """Leave no process behind, not even one whose start a signal has interrupted."""
+    """Leave no process behind, not even one whose start was interrupted by a signal."""
     for task in Path("/proc/self/task").iterdir():
         with suppress(FileNotFoundError):  # a thread that has ended meanwhile
             for child in (task / "children").read_text(encoding="ascii").split():
@@ -49,9 +49,9 @@ class Process:
     """A process with its output in a file; it ends with this one at the latest.
 
     Args:
-        name: For people, and the file's name.
-        command: What to run, after the Python interpreter.
-        folder: Where its output goes.
+        name: Name for people and for the file.
+        command: Arguments of the Python interpreter.
+        folder: Folder for its output.
         domain: ROS domain.
     """
 
@@ -91,7 +91,7 @@ class Process:
     def cpu_seconds(self) -> float:
         """Return the user and system time it has used in all its threads [s]."""
         text = Path(f"/proc/{self._process.pid}/stat").read_text(encoding="ascii")
-        # The name in brackets may hold anything, so fields count from the last bracket.
+        # The name in brackets may contain anything, so fields count from the last bracket.
         fields = text.rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -117,7 +117,7 @@ class Process:
 
 
 def command_of(name: str, parameters: Mapping[str, Any]) -> list[str]:
-    """Return what runs one of the package's nodes, after the Python interpreter."""
+    """Return the interpreter's arguments that run one of the package's nodes."""
     command = ["-m", "tsobs_ros.executables", name, "--ros-args"]
     for key, value in parameters.items():
         command += ["-p", f"{key}:={json.dumps(value)}"]
@@ -135,9 +135,9 @@ def helper(role: str, folder: Path, domain: int, *arguments: object) -> Process:
 
 
 def design_for(design: Design, rate: float, folder: Path) -> Path:
-    """Return the file of a design like another one, but made for the sensor's rate.
+    """Return the file of a design, made again for the sensor's rate if it is for another.
 
-    Away from its rate a design's gain has no proof, and the observer uses Riccati gains for good.
+    At another rate the design's gain has no proof, and the observer always uses Riccati gains.
     """
     path = folder / "made.design.yaml"
     if design.request.rate != rate:
@@ -149,12 +149,12 @@ def design_for(design: Design, rate: float, folder: Path) -> Path:
 
 
 def joint_names(count: int) -> list[str]:
-    """Return names of some joints; of one, the default's."""
+    """Return names of joints; for a single one, the default name."""
     return ["elastic_joint"] if count == 1 else [f"joint_{k + 1}" for k in range(count)]
 
 
 def hear(node: Any) -> dict[str, Any]:
-    """Subscribe to all that an observer publishes, which otherwise it would not."""
+    """Subscribe to all topics of an observer, which otherwise would not publish them."""
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 

@@ -1,17 +1,17 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How punctual the observer is: 1 kHz for a minute, and how long a measurement waits at 500 Hz.
+"""Punctuality of the observer at 1 kHz for a minute, and its latency at 500 Hz.
 
-The sensor is a separate process, at the observer's rate, and another one takes everything that
-the observer publishes. On time is a tick that came within a period of its due time; others are left
-out by the node, and missing in the estimates' stamps. The lag is the time from an estimate's stamp
-to its arrival at the listener, in the first and in the last fifth of the run.
+The sensor is a separate process, at the observer's rate, and another one takes everything that the
+observer publishes. A tick is on time if it came within a period of its due time. The node leaves
+out all others, so they are missing in the estimates' stamps. The lag is the time from an estimate's
+stamp to its arrival at the listener, in the first and in the last fifth of the run.
 
-The first two seconds of listening are left out: discovery holds the observer up once.
+The first two seconds of listening are left out, because discovery delays the observer once.
 
-The latency is the node's own, from diagnostics, per second: from the middleware's
-received stamp of a measurement to the moment when the first estimate that uses it has been sent on
-all topics. With `publish_on: tick` that includes the wait for the tick, up to a period.
+The latency is the node's own, from diagnostics, per second: from the middleware's received stamp of
+a measurement to the moment when the first estimate that uses it has been sent on all topics. With
+`publish_on: tick` it includes the wait for the tick, up to a period.
 """
 
 import json
@@ -27,11 +27,11 @@ from node_processes import Process, design_for, executable, helper, joint_names
 
 _WARM_UP = 10.0
 _DISCOVERY = 2.0
-"""To meet a new listener holds the observer's middleware up, once, by up to .3 s."""
+"""The discovery of a new listener delays the observer's middleware once, by up to .3 s."""
 
 
 def _run(rate: float, publish_on: str, seconds: float, options: Any) -> dict[str, Any]:
-    """Return what the listener has taken."""
+    """Return the data that the listener has taken."""
     domain = claim_domain()
     with tempfile.TemporaryDirectory() as name:
         folder, processes = Path(name), list[Process]()

@@ -5,7 +5,7 @@
 A step is correct + predict + readout of the supervised estimator, on data of a simulated arm. The
 reference is bayesian-filters' extended Kalman filter with the same model and states, whose step is
 update + predict. All contenders take the same samples one after another in short turns, so that a
-change of the machine's speed meets all.
+change of the machine's speed affects all of them.
 """
 
 import argparse
@@ -53,7 +53,7 @@ Step = Callable[[int], object]
 
 
 class _LibraryEkf(ExtendedKalmanFilter):  # type: ignore[misc]
-    """The same model and states: exact prediction, its Jacobian at the estimate."""
+    """The library's EKF with our model and states: exact prediction, Jacobian at the estimate."""
 
     def __init__(self, design: Design) -> None:
         flow = design.arm_request.flow
@@ -66,7 +66,7 @@ class _LibraryEkf(ExtendedKalmanFilter):  # type: ignore[misc]
         self.C = flow.output_matrix
 
     def predict_x(self, u: Any = 0) -> None:
-        """Predict and linearise there, by NumPy's products."""
+        """Predict, and linearise at the same points, with NumPy's products."""
         step, x = self.flow.nominal, self.x[:, 0].copy()
         half = 0.5 * step.duration * self.flow.gravity_gain
         x[1] -= half * np.sin(x[0])
@@ -88,7 +88,7 @@ class _LibraryEkf(ExtendedKalmanFilter):  # type: ignore[misc]
 
 
 class _LibraryAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
-    """The same with θ as states."""
+    """The same filter with θ as additional states."""
 
     def __init__(self, design: Design) -> None:
         request = design.arm_request
@@ -107,7 +107,7 @@ class _LibraryAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
         self._identity = np.eye(n + k)
 
     def predict_x(self, u: Array) -> None:  # type: ignore[override]
-        """Predict as the observer does, and linearise there."""
+        """Predict as the observer does, and linearise at the same points."""
         torque = float(u[0])
         x, first = self._kick(self.x[:, 0], torque)
         x, second = self._kick(self.phi @ x + self.gamma * torque, torque)
@@ -137,7 +137,7 @@ class _LibraryAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
 
 
 def _pure(estimator: Estimator, y: Array, u: Array) -> Step:
-    """Return the step by the pure functions."""
+    """Return a step that uses the pure functions."""
     state, period = estimator.initial(), estimator.period
 
     def step(sample: int) -> None:
@@ -150,7 +150,7 @@ def _pure(estimator: Estimator, y: Array, u: Array) -> Step:
 
 
 def _in_place(estimator: Estimator, y: Array, u: Array) -> Step:
-    """Return the step by the calls that the pure functions make, in place."""
+    """Return a step that uses the calls of the pure functions, but in place."""
     records = (
         estimator.model,
         estimator.initial(),
@@ -170,7 +170,7 @@ def _in_place(estimator: Estimator, y: Array, u: Array) -> Step:
 
 
 def _tracking(design: Design, y: Array, u: Array) -> Step:
-    """Return a sample offered to a tracker and the estimate of a tick."""
+    """Return a step that offers a sample to a tracker and gets the estimate of a tick."""
     tracker, period = make_tracker(design), design.request.period
 
     def step(sample: int) -> None:
@@ -190,7 +190,7 @@ def _medians(contenders: dict[str, Step], samples: int) -> dict[str, float]:
                 started = time.perf_counter_ns()
                 step(sample)
                 times[name].append(time.perf_counter_ns() - started)
-    # The first half is for caches and for the certified gain to take over.
+    # During the first half, caches fill and the certified gain takes over.
     return {name: float(np.median(each[len(each) // 2 :])) / 1e3 for name, each in times.items()}
 
 
@@ -209,7 +209,7 @@ def step_costs(kind: str, design: Design, seconds: float) -> dict[str, float]:
 
 
 def _awake(estimator: Estimator, y: Array, u: Array) -> Record:
-    """Return the state after some samples, all of whose hypotheses are considered and equal."""
+    """Return the state after some samples, with all hypotheses live and equal."""
     state = estimator.initial()
     for sample, torque in zip(y, u, strict=True):
         corrected, _ = estimator.correct(state, sample)
@@ -221,7 +221,7 @@ def _awake(estimator: Estimator, y: Array, u: Array) -> Record:
         hypotheses[place] = hypotheses[best]
         hypotheses["kind"][place] = kind
         hypotheses["certified"][place] = hypotheses["output"][place] = 0
-        # Those with parts of the sensors move the most states.
+        # Hypotheses with parts of the sensors have the most states to move.
         n, width = estimator.shape.n, hypotheses["x"].shape[1]
         parts = range(n, width)
         hypotheses["covariance"][place][parts, parts] = 1e-4
@@ -235,8 +235,8 @@ def _awake(estimator: Estimator, y: Array, u: Array) -> Record:
 def _worst(design: Design, turns: int) -> dict[str, float]:
     """Return times of one step with all hypotheses awake [µs], of the three compiled calls.
 
-    Each step begins from the same state. The samples are by turns one that fits and an outlier, at
-    which forks are tried: medians of both, and the slowest of all, which are the machine's.
+    Each step begins from the same state. Samples alternate between one that fits and an outlier, at
+    which forks are tried. Results are medians of both, and the slowest steps, due to the machine.
     """
     estimator = make_estimator(design, ObserverSettings())
     runs = simulate(SCENARIOS["stiff"], [1], 10.0)
@@ -304,7 +304,7 @@ def _series(design: Design, runs: Trajectories, turns: int) -> float:
 
 
 def _late(design: Design, count: int, turns: int) -> dict[str, float]:
-    """Return the median times to use samples that come together [s], by their order."""
+    """Return the median times for using samples that come together [s], by their order."""
     runs = simulate(SCENARIOS["noise"], [1], (count + 2) * design.request.period)
     y, u = runs.measurements[0, :count], runs.torques[0, :count]
     stamps = stamps_of(runs.times[:count])
@@ -321,7 +321,7 @@ def _late(design: Design, count: int, turns: int) -> dict[str, float]:
 
 
 def _outputs(design: Design, turns: int) -> dict[str, float]:
-    """Return the median costs of a sample of one output, and of two with unknown torques [µs]."""
+    """Return the median costs of a sample of one output, or of two with unknown torques [µs]."""
     drift = DisturbanceTerm("gauss_markov", {"std": 2.0, "time_constant": 1.0})
     outputs = (
         Output("link_angle", 0.005, (DisturbanceTerm("bias"),)),
@@ -365,7 +365,7 @@ print(time.perf_counter() - begun, time.process_time() - cpu)
 
 
 def _start(turns: int) -> dict[str, float]:
-    """Return the time from the import to the first estimate, and that of the CPU; medians [s]."""
+    """Return the elapsed and the CPU time from the import to the first estimate; medians [s]."""
 
     def once() -> list[float]:
         done = subprocess.run([sys.executable, "-c", _START], capture_output=True, check=True)
@@ -385,7 +385,7 @@ def _of_steps(kind: str, found: dict[str, float]) -> Sequence[str]:
 
 
 def _measure(options: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
-    """Return what the parts that were asked for found, as numbers and as lines."""
+    """Return the results of the chosen parts, as numbers and as lines."""
     parts = set(options.parts)
     results: dict[str, Any] = {}
     lines: list[str] = []

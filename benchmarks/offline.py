@@ -1,12 +1,12 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How many times faster than real time `tsobs estimate` is on a bag recorded at 200 Hz.
+"""Speed of `tsobs estimate` relative to real time, on a bag recorded at 200 Hz.
 
-The bag has measurements and ground truth of a simulated arm; a new bag of both and the estimates
+The bag has measurements and ground truth of a simulated arm; a new bag with both and the estimates
 is written. A bag with a live observer's estimates has all topics in the same chunks, as the
-recorder writes them, so that the recorded messages are picked out; else chunks are copied as they
-are. The time is that of the work itself, from opening the bag to the new one's last fsync;
-starting Python and loading the design take another half second, however long the bag is.
+recorder writes them, so the recorded messages must be picked out; otherwise chunks are copied
+unchanged. The time is that of the work itself, from opening the bag to the last fsync of the new
+one. Starting Python and loading the design take another half second, for a bag of any length.
 """
 
 import os
@@ -39,7 +39,7 @@ _BLOCK = 20_000
 
 
 def _record(path: Path, design: Design, seconds: float) -> None:
-    """Write a bag as the recorder does, of a simulated run, in blocks."""
+    """Write a bag of a simulated run as the recorder does, in blocks."""
     scenario = SCENARIOS["bias_step"]
     plant = Plant(scenario, [1])
     own, arm = JointStateEncoder([_JOINT]), JointStateEncoder(sides(_JOINT))
@@ -120,9 +120,9 @@ def _use(arguments: list[str]) -> dict[str, float]:
 
 
 def _memory(folder: Path, design: Design, seconds: float) -> dict[str, dict[str, float]]:
-    """Return the use of each command that goes through a bag and its estimates."""
+    """Return the time and memory of each command that reads a bag and its estimates."""
     bag, live = str(folder / "bag"), str(folder / "live")
-    # What is loaded at first use takes memory that it does not take again.
+    # A first use takes memory for loading that later uses do not need; it should not count.
     first = folder / "first"
     _record(first, design, 10.0)
     _use(["estimate", str(first), "--output", str(folder / "of_first")])

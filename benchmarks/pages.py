@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Benchmarks of scenarios: their options, tables in Markdown, and the page they write into."""
+"""Shared code of scenario benchmarks: options, tables in Markdown, and the page to write into."""
 
 import sys
 from argparse import ArgumentParser, Namespace
@@ -37,7 +37,7 @@ def verdicts(found: Sequence[Demand]) -> Iterator[str]:
 
 
 def options_of(made: ArgumentParser, known: Collection[str], runs: int = 40) -> Namespace:
-    """Return the options of a benchmark, with the seeds of its runs of each known scenario."""
+    """Return the options of a benchmark, with the seeds of its runs of each scenario."""
     made.add_argument(
         "--runs", type=at_least(1, int), default=runs, help=f"number of runs, {runs} by default"
     )
@@ -58,7 +58,7 @@ def options_of(made: ArgumentParser, known: Collection[str], runs: int = 40) -> 
 def end(
     options: Namespace, script: str, text: str, results: Mapping[str, Any], found: Sequence[Demand]
 ) -> NoReturn:
-    """Show what was found, also in the page of the options; fail if a demand is missed."""
+    """Show the results, also in the page of `--update`; fail if a demand is missed."""
     if options.update is not None:
         update(options.update, Path(script).name, text)
     listed = [
@@ -71,7 +71,7 @@ def end(
 
 
 def update(page: Path, script: str, text: str) -> None:
-    """Put a text between the marks that a page has for a script of this folder."""
+    """Replace the text between a page's marks for a script of this folder."""
     begin = f"<!-- begin: written by benchmarks/{script} -->"
     before, found, rest = page.read_text(encoding="utf-8").partition(begin)
     _, end, after = rest.partition(_END)

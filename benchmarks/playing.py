@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How punctually the player publishes a bag of 1 kHz, and what it costs, at several rates.
+"""Punctuality and cost of the player with a bag of 1 kHz, at several rates.
 
 The player runs as it is installed. This process receives everything, and the middleware stamps the
-times at which each message left the player and arrived; errors are relative to the most punctual
-message, as the two processes do not share a steady clock.
+times at which each message left the player and arrived. Errors are relative to the most punctual
+message, because the two processes do not share a steady clock.
 """
 
 import os
@@ -40,7 +40,7 @@ def _write_bag(path: Path, seconds: float) -> int:
 
 
 def _receive(count: int) -> dict[str, list[int]]:
-    """Return when messages left and arrived, and their own stamps [ns]; until no more come."""
+    """Return times of sending and arrival, and stamps, of messages [ns], until no more come."""
     import rclpy
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState

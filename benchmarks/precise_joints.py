@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Precise encoders on stiff and light joints that get hit: ours beside a plain and a gated EKF.
+"""Precise encoders on stiff and light joints that get hit: ours next to a plain and a gated EKF.
 
-A vertical axis swings between two angles, its drive closed over a motor encoder of 4096 counts. The
-design has the numbers of a data sheet; the joint has Coulomb friction, another stiffness, other
-inertias, and is hit now and then: the link's speed changes by 2 to 5 rad/s at once. One encoder of
-link or motor is given to the observers; the error is that of the other angle.
+A joint with a vertical axis swings between two angles; its drive is controlled with a motor encoder
+of 4096 counts. The design has the numbers of a data sheet. The joint has Coulomb friction, another
+stiffness and other inertias, and gets hit sometimes: the link's speed jumps by 2 to 5 rad/s. The
+observers get one encoder, of link or motor; the error is that of the other angle.
 """
 
 import math
@@ -32,12 +32,12 @@ from tsobs_ros.simulation.plant import Trajectories
 
 _COUNT = 2.0 * math.pi / 4096.0
 _DURATION, _JUDGED = 8.0, 0.5
-"""Length of a run, and when judging begins [s]."""
+"""Length of a run, and time at which judging begins [s]."""
 
 _SUBSTEP = 5e-5
 _CALM_BAR, _HIT_BAR, _INSIDE_BAR = 1.005, 0.5, 0.95
-"""Of ours / the better EKF without hits, where both are the same filter for all but a sample in
-hundreds, and with hits; share of the angle's errors within three bounds."""
+"""Bars of the ratio of ours to the better EKF without hits, where both filters differ only in one
+sample in hundreds, and with hits; share of the angle's errors within three bounds."""
 
 
 class Joint(NamedTuple):
@@ -45,8 +45,8 @@ class Joint(NamedTuple):
 
     Attributes:
         arm: The design's.
-        coulomb: Friction of the motor [N m].
-        gains: Of the drive's controller, on angle and speed.
+        coulomb: Coulomb friction of the motor [N m].
+        gains: Gains of the drive's controller, on angle and speed.
         most: Largest torque of the drive [N m].
         friction: 1σ of the design's unknown torque [N m].
     """
@@ -67,22 +67,22 @@ JOINTS = {
     "light": Joint(_arm(0.0008, 0.0006, 0.6, (0.0, 0.01)), 0.004, (0.5, 0.008), 0.2, 0.01),
 }
 _LINK_DAMPING = {"stiff": 0.0003, "light": 0.00005}
-"""Between link and motor, in none of the designs [N m s/rad]."""
+"""Damping between link and motor, which no design has [N m s/rad]."""
 
 
 class Case(NamedTuple):
-    """A design, and how the true joint differs from it.
+    """A design, and the differences of the true joint.
 
     Attributes:
-        joint: Name of `JOINTS`.
-        hits: Per second.
-        side: Of the encoder.
-        sigma: 1σ of the encoder, and of the design's [rad].
-        rate: [Hz].
-        stiffness: Relative change, as the next two.
-        link_inertia: Of the link.
-        motor_inertia: Of the motor.
-        friction: What multiplies Coulomb friction.
+        joint: Name in `JOINTS`.
+        hits: Hits per second.
+        side: Side of the encoder.
+        sigma: 1σ of the encoder, in truth and in the design [rad].
+        rate: Sampling rate [Hz].
+        stiffness: Relative change of the stiffness.
+        link_inertia: Relative change of the link's inertia.
+        motor_inertia: Relative change of the motor's inertia.
+        friction: Factor of Coulomb friction.
     """
 
     joint: str = "stiff"
@@ -102,12 +102,12 @@ class Case(NamedTuple):
 
     @property
     def hidden(self) -> int:
-        """Place of the other one."""
+        """Place of the other angle in the state."""
         return 2 - self.measured
 
     @property
     def request(self) -> ArmRequest:
-        """What the design is made for."""
+        """The request of the design."""
         joint = JOINTS[self.joint]
         torque = {"std": joint.friction, "time_constant": 0.3}
         return ArmRequest(
@@ -144,13 +144,13 @@ CASES = {
 
 
 class Found(NamedTuple):
-    """What was found in a case, each of shape (runs,).
+    """The results of a case, each of shape (runs,).
 
     Attributes:
         errors: RMSE of the hidden angle by contender [rad].
-        inside: Share of our errors of it within three bounds.
+        inside: Share of our errors of the hidden angle within three bounds.
         claimed: Share of samples with claimed bounds.
-        broken: Share of these with an error of an angle or a speed beyond them.
+        broken: Share of these with an error of an angle or a speed beyond three bounds.
     """
 
     errors: dict[str, Array]
@@ -190,7 +190,7 @@ def simulated(case: Case, seeds: Sequence[int]) -> Trajectories:
             x[3] += _SUBSTEP * (spring * twist + u - rub) / motor
             x[0] += _SUBSTEP * x[1]
             x[2] += _SUBSTEP * x[3]
-    # What the counts leave of the encoder's 1σ is white.
+    # The part of the encoder's 1σ that does not come from the counts is white noise.
     rest = math.sqrt(max(0.0, case.sigma**2 - _COUNT**2 / 12.0))
     angles = states[:, case.measured] + rest * noise
     physical = states.transpose(2, 0, 1).copy()
@@ -207,7 +207,7 @@ def simulated(case: Case, seeds: Sequence[int]) -> Trajectories:
 
 
 def judged(case: Case, design: Design, runs: Trajectories) -> Found:
-    """Return what ours and the two EKFs do."""
+    """Return the results of ours and of the two EKFs."""
     late, place = runs.times >= _JUDGED, case.hidden
     mine = observe(design, runs)
     states = {"ours": mine.rows["state"]}
@@ -232,7 +232,7 @@ def _work(job: tuple[str, tuple[int, ...]]) -> tuple[str, Found]:
 
 
 def demands(results: Mapping[str, Found]) -> Iterator[Demand]:
-    """Yield what is demanded."""
+    """Yield the demands."""
     for name, found in results.items():
         means = {who: float(each.mean()) for who, each in found.errors.items()}
         ratio = means["ours"] / min(means["plain"], means["gated"])
@@ -244,7 +244,7 @@ def demands(results: Mapping[str, Found]) -> Iterator[Demand]:
 
 
 def _page(results: Mapping[str, Found], found: Sequence[Demand], options: str) -> Iterator[str]:
-    """Yield all that was found, as Markdown."""
+    """Yield the results, as Markdown."""
     failed = sum(not one.passed for one in found)
     yield f"{options} {failed} of {len(found)} demands are missed. Errors are in mrad.\n"
     by_place = {(one.scenario, one.kind): one for one in found}

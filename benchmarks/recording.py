@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the recorder loses at full rate, what it costs, and what a kill takes from the bag.
+"""Losses and cost of the recorder at full rate, and losses after a kill.
 
-The recorder runs as it is installed, and other processes publish raw messages of 156 bytes as fast
-as asked for, each with its number in it. Losses are counted twice: by the recorder itself,
-and by comparing every message in the bag with the one that was sent. In the last part the recorder
-is killed, and what is in its file is compared in the same way.
+The recorder runs as it is installed, and other processes publish raw messages of 156 bytes, each
+with its number in it, at the requested rate. Losses are counted twice: by the recorder itself, and
+by comparing every message in the bag with the one that was sent. In the last part the recorder is
+killed, and the content of its file is compared in the same way.
 """
 
 import argparse
@@ -38,7 +38,7 @@ _LOADS = (_Load("10 topics at 1 kHz", 10, 1000.0), _Load("1 topic at 10 kHz", 1,
 
 
 def _encoder() -> Callable[[int, int], bytes]:
-    """Return what makes message number n of topic k; each has other bytes."""
+    """Return a function that makes message number n of topic k; no two have the same bytes."""
     from tsobs_ros.bag.joint_states import JointStateEncoder
 
     encode = JointStateEncoder(_NAMES)
@@ -128,7 +128,7 @@ def _measure(load: _Load, seconds: float, folder: Path, domain: int) -> dict[str
 
 
 def _intact(stored: list[tuple[str, bytes]], last: int) -> int:
-    """Return how many of the messages up to a number are stored in order and as they were sent."""
+    """Return how many messages up to the number `last` are stored in order and unchanged."""
     encode, numbers = _encoder(), defaultdict(int)
     for topic, data in stored:
         expected = numbers[topic] + 1
@@ -156,7 +156,7 @@ def _killed(seconds: float, folder: Path, domain: int) -> dict[str, Any]:
 
 
 def _stored(path: Path) -> Iterator[tuple[str, bytes, int]]:
-    """Yield what is in a file without an end: topic, bytes and log time."""
+    """Yield the messages of a file without an end: topic, bytes and log time."""
     from mcap.exceptions import EndOfFile
     from mcap.records import Channel, Message
     from mcap.stream_reader import StreamReader

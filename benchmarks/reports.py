@@ -1,8 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What `tsobs report` of a long bag costs: time, memory, and the size of its page.
+"""Cost of `tsobs report` on a long bag: time, memory, and the size of its page.
 
-The bag is a recorded one, repeated with later stamps until it is long enough.
+The bag is a recorded bag, repeated with later stamps until it is long enough.
 """
 
 import os
@@ -24,12 +24,12 @@ _PERIOD = 5_000_000
 
 
 def repeat(bag: Path, output: Path, seconds: float) -> int:
-    """Write the messages of a bag again and again, and return their number."""
+    """Write the messages of a bag repeatedly, and return their number."""
     reader = BagReader(bag)
     messages = list(reader.messages())
     times = [one.log_time for one in messages if one.topic.endswith(_MEASUREMENTS)]
     length = times[-1] - times[0] + _PERIOD
-    # Latched messages come before the measurements, and once.
+    # Latched messages come before the measurements, and only once.
     latched = [one.log_time < times[0] or one.topic.endswith("/design") for one in messages]
     first = [one for one, is_first in zip(messages, latched, strict=True) if is_first]
     rest = [one for one, is_first in zip(messages, latched, strict=True)
@@ -48,7 +48,7 @@ def repeat(bag: Path, output: Path, seconds: float) -> int:
 
 
 def _shifted(data: bytes, later: int) -> bytes:
-    """Return a message that begins with a header, with a later stamp."""
+    """Return a message, which begins with a header, with a later stamp."""
     seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
     stamp = divmod(seconds * 1_000_000_000 + nanoseconds + later, 1_000_000_000)
     return data[:4] + struct.pack("<iI", *stamp) + data[12:]
@@ -80,7 +80,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder, "bag")
         count = repeat(options.bag, bag, 60.0 * options.minutes)
-        # Once for what is loaded at first use.
+        # A first report, so that one-time loading does not count.
         report(options.bag, Path(folder, "first"))
         used = report(bag, Path(folder, "report"))
     text = (

@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clean ends of the executables on SIGINT, SIGTERM and SIGHUP, at any time.
 
-Starts each executable again and again, alone and in pairs that are stopped together, and signals it
-at a random time: while the interpreter starts, during the imports, while it joins the middleware,
-while it works; often a second time shortly after, while it ends. Clean is exit code 0, without a
-traceback or an error in the output, and with a recorder's bag closed. Every
+The benchmark starts each executable repeatedly, alone and in pairs that are stopped together. It
+signals them at a random time: while the interpreter starts, during the imports, while they join the
+middleware, while they work; often a second time shortly after, while they end. An end is clean if
+the exit code is 0, the output has no traceback or error, and a recorder's bag is closed. Every
 deviation is printed with its output.
 
-A signal that comes before an executable has its handlers in place, in the interpreter's own
-start-up, ends the process as it ends any: such signals are recognised by the process's signal mask
-in /proc just before they are sent, and counted by themselves.
+A signal that comes before an executable has its handlers in place, during the interpreter's own
+start-up, ends the process as it ends any process. Such signals are recognised by the process's
+signal mask in /proc just before they are sent, and are counted separately.
 """
 
 import argparse
@@ -40,23 +40,23 @@ from tsobs_ros.errors import BagReadError
 
 EXECUTABLES = ("plant_simulator", "observer", "recorder", "player")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-# A hang in Fast DDS is ended after 5 s; this is for one that is not.
+# Executables end a hang in Fast DDS after 5 s; this timeout is for other hangs.
 STOP_TIMEOUT = 30.0
 BAD_OUTPUT = ("Traceback", "\nerror", "[ERROR]", "[FATAL]")
 
 
 @dataclass(frozen=True)
 class Stop:
-    """How one process ended.
+    """The end of one process.
 
     Attributes:
-        what: The executable, and with which other it was stopped.
+        what: The executable, and the other one that was stopped with it.
         signals: The signals by name, in order.
-        after: When the first came, from the process's start [s].
-        early: Whether it came before the handlers were in place.
-        took: From the first signal to the end [s].
-        exit_code: Negative when a signal ended it.
-        output: Everything it printed.
+        after: Time from the process's start to the first signal [s].
+        early: Whether the first signal came before the handlers were in place.
+        took: Time from the first signal to the end [s].
+        exit_code: Exit code; negative if a signal ended the process.
+        output: Everything that the process printed.
     """
 
     what: str
@@ -69,7 +69,7 @@ class Stop:
 
     @property
     def clean(self) -> bool:
-        """Whether it ended as it should."""
+        """Whether the process ended as it should."""
         return self.exit_code == 0 and not any(bad in f"\n{self.output}" for bad in BAD_OUTPUT)
 
 
@@ -80,7 +80,7 @@ class SignalledProcess(Process):
         name: Its name.
         parameters: ROS parameters by name.
         domain: ROS domain.
-        folder: Of logs and of the output, which goes to a file so that no pipe can fill up.
+        folder: For logs and for the output, which goes to a file because a pipe could fill up.
     """
 
     def __init__(self, name: str, parameters: dict[str, Any], domain: int, folder: Path) -> None:
@@ -89,7 +89,7 @@ class SignalledProcess(Process):
 
     @property
     def running(self) -> bool:
-        """Whether it has not ended."""
+        """Whether the process is still running."""
         return self._process.poll() is None
 
     @property
@@ -101,11 +101,11 @@ class SignalledProcess(Process):
         return bool(handled >> (signal.SIGTERM - 1) & 1)
 
     def signal(self, number: int) -> None:
-        """Send a signal, unless it has ended."""
+        """Send a signal, unless the process has ended."""
         self._process.send_signal(number)
 
     def finish(self, deadline: float) -> tuple[int, str]:
-        """Return the exit code and the output; what hangs is killed."""
+        """Return the exit code and the output; a process that hangs is killed."""
         try:
             self._process.wait(max(0.0, deadline - time.monotonic()))
         except subprocess.TimeoutExpired:
@@ -114,7 +114,7 @@ class SignalledProcess(Process):
 
 
 def parameters_of(name: str, folder: Path, bag: Path) -> dict[str, Any]:
-    """Return what an executable needs to work until it is stopped."""
+    """Return the parameters with which an executable works until it is stopped."""
     if name == "recorder":
         return {"output": str(folder / "bag"), "flush_period": 0.1}
     if name == "player":
@@ -125,7 +125,7 @@ def parameters_of(name: str, folder: Path, bag: Path) -> dict[str, Any]:
 def stop_once(
     names: Sequence[str], chance: random.Random, until: float, bag: Path, domain: int
 ) -> list[Stop]:
-    """Start executables, signal them together at a random time, and see how they end."""
+    """Start executables, signal them together at a random time, and return how they end."""
     number = chance.choice(SIGNALS)
     after = chance.uniform(0.0, until)
     again = [
@@ -173,7 +173,7 @@ def stop_once(
 
 
 def unfinished(bag: Path) -> str:
-    """Return what is wrong with the bag of a recorder, if it has made one."""
+    """Return the error of a recorder's bag, if there is a bag and an error."""
     try:
         if bag.exists():
             BagReader(bag)
@@ -183,7 +183,7 @@ def unfinished(bag: Path) -> str:
 
 
 def window(name: str, bag: Path, domain: int) -> float:
-    """Return how long a signal would still kill an executable that was just started [s]."""
+    """Return for how long after its start a signal would still kill an executable [s]."""
     with tempfile.TemporaryDirectory(prefix="tsobs_signals_") as folder:
         process = SignalledProcess(
             name, parameters_of(name, Path(folder), bag), domain, Path(folder)
@@ -234,7 +234,7 @@ def rows(stops: Iterable[Stop], windows: dict[str, list[float]]) -> list[dict[st
 
 
 def text(table: Sequence[dict[str, Any]], deviations: Sequence[Stop]) -> str:
-    """Lay the results out for people."""
+    """Return the results as a text for people."""
     lines = [
         f"{'':34}{'processes':>10}{'signals':>9}{'clean':>7}{'deviate':>9}{'early':>7}"
         f"{'stop p50':>10}{'slowest':>9}{'deaf for':>10}"
@@ -276,16 +276,16 @@ def main() -> int:
     """Run the benchmark.
 
     Returns:
-        1 if any process ended otherwise than it should, else 0.
+        1 if any process did not end as it should, else 0.
     """
     options = arguments()
-    for number in SIGNALS:  # children inherit what a job in the background or nohup ignores
+    for number in SIGNALS:  # children inherit the signals that background jobs or nohup ignore
         if signal.getsignal(number) == signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
     names = [name for name in options.only if find_spec(f"tsobs_ros.nodes.{name}")]
     kinds = [((name,), options.stops) for name in names]
     if len(names) > 1:
-        # Each is in two pairs, once as the first to be signalled and once as the second.
+        # Each executable is in two pairs, signalled once as the first and once as the second.
         kinds += [(pair, options.pairs) for pair in pairwise([*names, names[0]])]
     free_domains: SimpleQueue[int] = SimpleQueue()
     for _ in range(options.jobs):

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Memory, CPU and tick time of the observer over ten minutes at 1 kHz, one sample in fifty bad.
 
-The observer and the sensor are processes; what is measured comes from /proc and from the observer's
-own diagnostics. Writes soak.csv and soak.png, and reports whether anything grows.
+The observer and the sensor are processes; the numbers come from /proc and from the observer's own
+diagnostics. The script writes soak.csv and soak.png, and reports whether anything grows.
 """
 
 import csv
@@ -23,10 +23,10 @@ _SETTLING = 0.2
 """Share of the run after which memory is expected to stay: caches and queues are full by then."""
 
 _LARGEST_SLOPE, _LARGEST_GROWTH = 100.0, 512.0
-"""Growth of memory [KiB/min] and [KiB]; what is below either is put down to chance."""
+"""Growth of memory [KiB/min] and [KiB]; a growth below either one counts as chance."""
 
 _LARGEST_DRIFT = 1.25
-"""Tick time at the end, as a multiple of that at the beginning, that is put down to chance."""
+"""Largest ratio of the tick time at the end to that at the beginning that counts as chance."""
 
 _COLUMNS = (
     "time [s]",
@@ -42,12 +42,12 @@ _COLUMNS = (
 
 
 class _Monitor:
-    """Reads the observer's diagnostics, and receives all else that it publishes."""
+    """Reads the observer's diagnostics, and receives everything else that it publishes."""
 
     def __init__(self, domain: int) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
 
-        # The process that measures must be found where the others are, and nowhere else.
+        # The measuring process must discover the others on this host, and no other host.
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         self._rclpy = join_ros(domain)
         self._node = self._rclpy.create_node("soak")
@@ -96,7 +96,7 @@ def _rows(
 
 
 def _verdict(rows: Sequence[Sequence[float]]) -> dict[str, Any]:
-    """Return the trends of memory and tick time, and whether they are none."""
+    """Return the trends of memory and tick time, and whether they count as none."""
     import numpy as np
 
     table = np.array(rows)
@@ -149,7 +149,7 @@ def _draw(rows: Sequence[Sequence[float]], path: Path) -> None:
 
 
 def _sensor(rate: float, share: float) -> None:
-    """Publish measurements of a simulated arm, and bad input among them, without end."""
+    """Publish measurements of a simulated arm with bad input among them, without end."""
     from dataclasses import replace
 
     import numpy as np

@@ -1,12 +1,12 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a sensor can show of a wrong model: how much likelier the right one makes its samples.
+"""Visibility of a wrong model to a sensor: the likelihood ratio of the right model.
 
-The right model is a Kalman filter with the true arm, which is given the torque as much earlier as
-the sensor is late. The other one has the nominal arm, with stiffness and gravity learnt, by the
-design's own recursion. Both start alike; the logarithm of the likelihoods' ratio is summed from
-10 s on, when the parameters are learnt. No test distinguishes the models better than this ratio
-(Neyman and Pearson), and none can rely on what leaves it at a few nats.
+The right model is a Kalman filter with the true arm; its torque is shifted by the delay of the
+sensor. The other model has the nominal arm and learns stiffness and gravity, by the design's own
+recursion. Both start alike. The log likelihood ratio is summed from 10 s on, when the parameters
+are learnt. No test distinguishes the models better than this ratio (Neyman and Pearson), so no test
+can detect reliably a fault for which the ratio stays at a few nats.
 """
 
 from collections.abc import Iterator
@@ -31,14 +31,14 @@ CASES = (
     "noise", "stiff", "late_10ms", "late_20ms", "light_link", "heavy_link", "light_motor",
     "heavy_motor",
 )  # fmt: skip
-"""Scenarios without another model error than that of the arm or of stamps."""
+"""Scenarios whose only model error is in the arm or in the stamps."""
 
 _LEARNT = 10.0
-"""When the sum begins [s]."""
+"""Time at which the sum begins [s]."""
 
 
 def log_likelihood(design: Design, stamps: Stamps, y: Array, u: Array) -> float:
-    """Return that of a run's samples by the design's filter alone, with Riccati gains."""
+    """Return the log likelihood of a run's samples by the design's filter, with Riccati gains."""
     estimator = filter_alone(design, ObserverSettings(gain_mode="riccati"))
     tracker = Tracker(estimator, history=0.0, max_steps=1)
     got = tracker.offer_many(stamps, y, u, int(stamps[-1]))
@@ -49,7 +49,7 @@ def log_likelihood(design: Design, stamps: Stamps, y: Array, u: Array) -> float:
 
 
 def _work(job: tuple[str, Design, tuple[int, ...]]) -> tuple[str, list[float]]:
-    """Return how much likelier the right model makes each run."""
+    """Return the log likelihood ratio of the right model for each run."""
     name, design, seeds = job
     scenario = SCENARIOS[name]
     runs = simulate(scenario, seeds)

@@ -37,7 +37,7 @@ estimates = ts.estimate(design, run.time, run.angle, run.torque)
 
 found = (estimates.torque_disturbance, estimates.torque_disturbance_bound)
 slip = (estimates.disturbance, estimates.disturbance_bound)
-signals = {  # true, estimated, 1-sigma bound; of motor and link, the link is the second
+signals = {  # true, estimated, 1-sigma bound; column 1 is the link, after the motor
     "contact torque [N m]": [each[:, 1] for each in (run.torque_disturbance, *found)],
     "link encoder's bias [rad]": [each[:, 1] for each in (run.disturbance, *slip)],
 }

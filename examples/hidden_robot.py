@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A stand-in for a robot: an arm whose numbers are not shown plays a motion and is recorded.
+"""A stand-in for a robot: an arm with hidden numbers plays a motion and is recorded.
 
 Each number differs by up to 30 % from motor_encoder.request.yaml, the data sheet. The motor has
 Coulomb friction, its torque is late and has an offset, and the encoders count in steps.
@@ -33,7 +33,7 @@ robot = ts.ArmRequest(
     x_max=sheet.x_max,
 )
 
-# Time and torque; comments and titles are passed over.
+# Time and torque; comments and titles are skipped.
 columns = {"delimiter": ",", "comments": ["#", "time"], "usecols": (0, 1), "unpack": True}
 time, torque = np.loadtxt(motion, **columns)
 run = ts.simulate(

@@ -24,7 +24,7 @@ request = ts.ArmRequest(
     rate=500.0,  # [Hz]
     x_max=0.9,  # the link angle stays within ±0.9 rad
 )
-design = ts.synthesise(request)  # refuses what no observer can do, and explains why
+design = ts.synthesise(request)  # if no observer exists, the error explains why
 print(*design.certificate.inequalities, sep="\n")
 path = folder / "my_arm.design.yaml"
 ts.save_design(design, path)

@@ -15,7 +15,7 @@ from tsobs_ros.nodes import observer, plant_simulator
 
 
 class Listener(Node):
-    """Your own node: takes the estimates."""
+    """Your own node: receives the estimates."""
 
     def __init__(self) -> None:
         super().__init__("listener")

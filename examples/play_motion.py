@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A motion of `tsobs excite` on a robot: its torque as commands of an effort controller.
 
-The controller is one of ros2_control for this joint alone, such as JointGroupEffortController. A
-line is published at its time, the last command is 0, and so is that after Ctrl-C. A process that is
-killed leaves its last torque to the controller: keep a hand on the emergency stop.
+The controller is a ros2_control controller for this joint alone, e.g. JointGroupEffortController.
+Each line is published at its time. The last command is 0, also after Ctrl-C. If this process is
+killed, the controller keeps the last torque: keep a hand on the emergency stop.
 
-Nothing is recorded: `ros2 bag record` or the node `recorder` does that beside it.
+Nothing is recorded here: run `ros2 bag record` or the node `recorder` at the same time.
 
 Usage: python play_motion.py motion.csv --max-torque 0.24 [--scale 0.1] [--topic /…/commands]
 """
@@ -45,7 +45,7 @@ if not np.abs(torque).max() <= options.max_torque:
     sys.exit(f"error: {np.abs(torque).max():.4g} N m is above --max-torque {options.max_torque:g}")
 end = 2.0 * due[-1] - due[-2]  # the last torque is held as long as the one before
 
-# ROS itself would end the publisher before the last command.
+# ROS's own handlers would end the publisher before the last command.
 for number in (signal.SIGTERM, signal.SIGHUP):
     signal.signal(number, signal.default_int_handler)
 rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -61,7 +61,7 @@ def command(value: float) -> None:
 
 
 def publish_due_line() -> None:
-    """Publish the newest line that is due; one that a busy computer missed is left out."""
+    """Publish the newest line that is due; lines that a busy computer missed are left out."""
     command(torque[np.searchsorted(due, time.monotonic() - start, side="right") - 1])
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates over a recorded bag or a CSV log, their figures of merit, and a new bag of them.
+"""Estimates over a recorded bag or a CSV log, their figures of merit, and a new bag with them.
 
 Usage: python replay_a_bag.py BAG|LOG.csv [NEWBAG]
 """

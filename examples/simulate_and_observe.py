@@ -6,7 +6,7 @@ import numpy as np
 
 import tsobs_ros as ts
 
-design = ts.load_design()  # the shipped one; its certificate is checked again
+design = ts.load_design()  # the shipped design; its certificate is checked again
 run = ts.simulate(design, duration=20.0, disturbance={"bias_step": {"amplitude": 0.1, "start": 8}})
 estimates = ts.estimate(design, run.time, run.angle, run.torque)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A T-S model of your own as a node: its design, the observer node and a plant that plays it.
+"""Your own T-S model as a node: its design, the observer node and a simulated plant.
 
 Needs cvxpy and clarabel and a sourced ROS 2 Jazzy, or pip install 'tsobs_ros[design,ros]'.
 

@@ -14,24 +14,24 @@ Models and designs:
     TSModel           any Takagi-Sugeno system, by its matrices and memberships
     ArmRequest        the arm, its sensor and disturbance, and the domain to certify
     load_request      a request from a YAML file
-    excite            a torque motion that shows a request's numbers (needs scipy)
+    excite            a torque motion that reveals a request's numbers (needs scipy)
     fit               a request's numbers from recordings (needs scipy)
-    Fit               its record: numbers, how well they are known, what the model lacks
+    Fit               result of fit: numbers, how well they are known, what the model lacks
     synthesise        a certified gain for a request (needs cvxpy)
     Design            a gain with its proof; makes observers
-    load_design       a design from its file, its certificate checked again
+    load_design       a design from its file, with its certificate checked again
     save_design       a design into a file
-    export_c          its estimator into a file for C and C++ programs
+    export_c          a design's estimator into a file for C and C++ programs
 
 Estimates:
     simulate          measurements and truth of an arm, as arrays
     estimate          estimates from arrays, as the observer node makes them
-    Estimates         their record: states, bounds, disturbance, innovations, counts
+    Estimates         result of estimate: states, bounds, disturbance, innovations, counts
     ObserverSettings  method, gates and timeouts, with the node's defaults
     make_tracker      estimates at any time from stamped measurements in any order
-    Tracker           its class
-    Measurement       one stamped sample for it
-    step_joints       one sample each of several joints, and their estimates, in one call
+    Tracker           class of the object that make_tracker returns
+    Measurement       one stamped sample for a tracker
+    step_joints       estimates of several joints from one sample of each, in one call
 
 Bags and logs:
     estimate_bag      estimates of a bag or a CSV log
@@ -76,7 +76,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.7.0"
 
-# A signal must be caught while the heavy modules load (see executables.py), hence by name only.
+# By name only, as signals must be caught before the heavy modules load (see executables.py).
 _NAMES = {
     "api": ("Estimates", "compare", "estimate", "estimate_bag", "simulate"),
     "bag.reader": ("BagReader",),

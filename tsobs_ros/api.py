@@ -40,11 +40,11 @@ Disturbance = str | Mapping[str, Mapping[str, float]] | Iterable[Signal]
 
 @dataclass(frozen=True)
 class Simulation:
-    """A simulated run of n samples: what a plant measures, and the truth.
+    """A simulated run of n samples: measurements and truth.
 
-    Shapes are those of an arm with one output. With p of them, and of a T–S system, angle and
-    disturbance have the shape (n, p); a T–S system's torque, its inputs and scheduled signals, has
-    (n, m + s), and its states are the model's.
+    Shapes are those of an arm with one output. For p outputs or a T–S system, angle and disturbance
+    have shape (n, p). For a T–S system, torque holds the inputs and scheduled signals, with shape
+    (n, m + s), and the states are the model's.
 
     Attributes:
         time: Time since the start [s], shape (n,).
@@ -53,8 +53,8 @@ class Simulation:
         state: True [q₁, q̇₁, q₂, q̇₂] of link and motor (rad, rad/s), shape (n, 4).
         disturbance: True disturbance of the sensor, white noise and outliers not included [rad],
             shape (n,).
-        torque_disturbance: True torques on motor and link in addition to the drive's, friction and
-            what a payload costs included [N m], shape (n, 2); of a T–S system (n, 0).
+        torque_disturbance: True torques on motor and link in addition to the drive's, including
+            friction and the effect of a payload [N m], shape (n, 2); for a T–S system (n, 0).
     """
 
     time: Array
@@ -69,9 +69,9 @@ class Simulation:
 class Estimates:
     """Estimates at n instants; NaN in a row without an estimate.
 
-    Shapes are those of an arm with one encoder. Of p outputs, disturbances and innovations have
-    the shape (n, p), NaN of an innovation if its output was not used; the states of a T–S system
-    are the model's.
+    Shapes are those of an arm with one encoder. For p outputs, disturbances have shape (n, p) and
+    innovations (i, p), NaN for an output that was not used. The states of a T–S system are the
+    model's.
 
     Attributes:
         time: Instants [s], shape (n,).
@@ -86,17 +86,17 @@ class Estimates:
         parameters: Learnt changes θ of the model's parameters, shape (n, k).
         parameter_bound: 1σ of each, shape (n, k).
         parameters_valid: Whether the motion was rich enough for them to be relied on, shape (n,).
-        basis: What the bounds rest on, codes of `tsobs_ros.estimation.records.Basis`, shape (n,).
+        basis: Basis of the bounds, codes of `tsobs_ros.estimation.records.Basis`, shape (n,).
         claimed: Whether the bounds are claimed to hold, shape (n,).
         noise_scale: Size of the sensor's noise relative to the design's, at least 1, shape (n,).
         coloured_power: Mean product of neighbouring innovations relative to their expected power;
             about 0 if the model is right, shape (n,).
-        learning: What the learning does, codes of `Learning` there, shape (n,).
-        hypothesis: What the arm and its sensor are taken for, codes of `Hypothesis` there,
+        learning: State of the learning, codes of `Learning` in the same module, shape (n,).
+        hypothesis: Hypothesis on the arm and its sensor, codes of `Hypothesis` in the same module,
             shape (n,).
         in_domain: Whether the estimated link angle is in the certificate's domain, shape (n,).
         used: Number of measurements used.
-        rejected: Number of measurements not used, by reason; those of all joints of a bag.
+        rejected: Number of measurements not used, by reason; for a bag, those of all joints.
     """
 
     time: Array
@@ -123,12 +123,12 @@ class Estimates:
 
     @property
     def certified(self) -> Flags:
-        """Whether the bounds are the certificate's, times the noise's scale, shape (n,)."""
+        """Whether the bounds are those of the certificate times the noise scale, shape (n,)."""
         return np.asarray(self.basis == Basis.CERTIFIED)
 
     @property
     def proved(self) -> Flags:
-        """Whether the bounds are certified but for the learnt parameters, shape (n,)."""
+        """Whether the bounds are certified, maybe except for learnt parameters, shape (n,)."""
         return np.isin(self.basis, PROVED)
 
 
@@ -153,28 +153,28 @@ def simulate(
         arm: The arm, or a design or request, whose plant, outputs, rate and noise are taken; the
             default arm if None.
         duration: Length of the run [s].
-        rate: Samples a second [Hz]; the design's, or 200.
+        rate: Sample rate [Hz]; if None, the design's, or 200.
         seed: Seed of everything random: the same seed gives the same numbers.
         noise_std: 1σ of the sensors' white noise [rad], one number for all outputs or one each;
-            the design's, or 0.028.
-        disturbance: Of the first output: "none", a kind or a sum of kinds such as
+            if None, the design's, or 0.028.
+        disturbance: Disturbance of the first output: "none", a kind or a sum of kinds such as
             "bias_step+ramp", a mapping of kinds to their parameters, or components of
-            `simulation.signals`. Or a mapping of names of outputs to such disturbances.
-        torque: A number, one number a sample, or a function of the time [s], in N m; sin t if None.
-            Of m inputs shape (n, m), or a function with m numbers.
-        mismatch: Relative changes of the true arm's parameters, such as {"stiffness": 0.2}; θ of
-            the true T–S system.
-        initial_state: True state at the start (rad, rad/s of an arm); by default about what
-            `Scenario` has, 0 for a T–S system.
-        friction: Of the true arm, such as {"motor_viscous": 0.1}; see `simulation.plant`.
-        torque_disturbance: Torques on "motor" and "link" in addition to the drive's [N m], each as
-            `disturbance`.
-        payload: What the link carries from `start` on for `duration` [s], 0 for ever: `mass` [kg]
-            at a `distance` [m], `link_inertia` [kg m²] and `gravity_torque` [N m].
+            `simulation.signals`. Or a mapping from names of outputs to such disturbances.
+        torque: A number, one number per sample, or a function of the time [s], in N m; sin t if
+            None. For m inputs, shape (n, m), or a function that returns m numbers.
+        mismatch: Relative changes of the true arm's parameters, such as {"stiffness": 0.2}; for a
+            T–S system, the true θ.
+        initial_state: True state at the start (rad, rad/s for an arm); by default drawn around
+            the one in `Scenario`, 0 for a T–S system.
+        friction: Friction of the true arm, such as {"motor_viscous": 0.1}; see `simulation.plant`.
+        torque_disturbance: Torques on "motor" and "link" in addition to the drive's [N m], each in
+            a form of `disturbance`.
+        payload: Load of the link from `start` on for `duration` [s] (0: for ever): `mass` [kg] at a
+            `distance` [m], `link_inertia` [kg m²] and `gravity_torque` [N m].
 
     Raises:
         TsobsError: A number is out of range, a kind, output or parameter is unknown, a T–S system
-            is to have what only arms have, there is not one torque a sample, or it diverges.
+            gets what only arms have, torques do not match the samples, or the state diverges.
 
     >>> import tsobs_ros as ts
     >>> run = ts.simulate(duration=2.0, disturbance={"bias_step": {"amplitude": 0.1, "start": 1.0}})
@@ -246,11 +246,11 @@ def estimate(
     *,
     settings: ObserverSettings | None = None,
 ) -> Estimates:
-    """Estimate from arrays, by the code of the observer node and of `tsobs estimate`.
+    """Estimate from arrays with the code of the observer node and of `tsobs estimate`.
 
     Row k is the estimate at `time[k]` from the rows up to k. Measurements that are not finite,
-    come twice, or are later than `settings.history` allows are rejected and counted; late ones
-    within it are put in their place.
+    come twice, or are later than `settings.history` allows are rejected and counted; other late
+    ones are put in their place.
 
     Args:
         design: From `load_design` or `synthesise`.
@@ -261,8 +261,8 @@ def estimate(
         settings: Method, gates and timeouts; the node's defaults if None.
 
     Raises:
-        ModelError: A time is not finite, or the arrays are not of the same length or of a shape
-            that the design asks for.
+        ModelError: A time is not finite, or the arrays differ in length or do not have the shapes
+            that the design needs.
 
     >>> import tsobs_ros as ts
     >>> design = ts.load_design()
@@ -289,10 +289,10 @@ class BagEstimates(NamedTuple):
     """Estimates of a bag or a log.
 
     Attributes:
-        joints: Estimates by the joints' names; times are those of the stamps, since the epoch.
+        joints: Estimates by names of the joints; times are stamps, in seconds since the epoch.
         reproduced: Share of the live observer's recorded estimates that are the same to the last
-            bit; None without any.
-        remarks: Notes on the recording, such as damage up to which was estimated.
+            bit; None if there are none.
+        remarks: Notes on the recording, such as damage at which the estimates end.
     """
 
     joints: dict[str, Estimates]
@@ -357,7 +357,7 @@ def estimate_bag(
 
 
 class Comparison(tuple["ObserverErrors", ...]):
-    """Errors of observers on the same recording, one entry each; as text a table."""
+    """Errors of observers on the same recording, one entry per observer; `str` makes a table."""
 
     def __str__(self) -> str:
         from tsobs_ros.report.comparison import render_comparison
@@ -379,11 +379,11 @@ def compare(
     Args:
         path: As for `estimate_bag`.
         design: As for `estimate_bag`.
-        methods: Names of the observers; of several, those that cannot observe the arm are left out.
+        methods: Names of the observers; with several, those that do not fit the arm are left out.
         joints: Names of the joints; all that were measured if empty.
         held_out: Sensor to check estimates against, which no observer gets, as for `--held-out`:
             `link_angle`, or with its place `link_angle=COLUMN`.
-        held_out_std: 1σ of its noise (rad, rad/s); None: estimated from its high frequencies.
+        held_out_std: 1σ of its noise (rad, rad/s); if None, estimated from high frequencies.
 
     Raises:
         ModelError: There is no such method, none can observe this arm, or the observers measure
@@ -449,7 +449,7 @@ def _estimates(
     rejected: Mapping[RejectReason, int],
     several: bool,
 ) -> Estimates:
-    """Return estimates as plain arrays; those of several outputs have a column for each."""
+    """Return estimates as plain arrays, with a column per output if there are several."""
     estimator, used = tracker.estimator, np.isfinite(innovations).any(axis=1)
     types = types_of(tuple(estimator.model["sizes"][0].tolist()))["estimate"]
     columns: dict[str, Any] = {}
@@ -475,7 +475,7 @@ def _estimates(
 
 
 def _columns(name: str, value: ArrayLike, rows: int, columns: int) -> Array:
-    """Return shape (rows, columns) of a number, of (rows,) for one column, or of the same."""
+    """Return shape (rows, columns) from a number, from that shape or, if columns = 1, (rows,)."""
     array = numbers(name, value)
     if array.ndim == 0 or (array.ndim == 1 and columns == 1 and len(array) == rows):
         array = np.broadcast_to(array.reshape(-1, 1), (rows, columns))
@@ -489,7 +489,7 @@ def _columns(name: str, value: ArrayLike, rows: int, columns: int) -> Array:
 
 
 def _stamps(times: Array) -> NDArray[np.int64]:
-    """Return the times in ns; a stamp of zero means none, so they are moved to begin at 1 s."""
+    """Return the times in ns, moved to begin at 1 s unless all are above 0 (0 means no stamp)."""
     if times.ndim != 1 or not len(times):
         raise ModelError(f"time: expected shape (n,) with n > 0, got {times.shape}")
     wrong = np.flatnonzero(~(np.abs(times) < 2**31))

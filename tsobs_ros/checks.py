@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of numbers and matrices: an error names the quantity, what was expected and what came."""
+"""Checks of numbers and matrices; errors name the quantity, the expected and the actual value."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.errors import ModelError
 
-# Not NDArray: numpy 2.5 makes that an alias without an origin that `schema` could find.
+# Not NDArray: in numpy 2.5 that is an alias in which `schema` could not find an origin.
 Array = np.ndarray[tuple[Any, ...], np.dtype[np.float64]]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 class Fixed(Mapping[str, T]):
-    """A copy of a mapping that cannot be changed, so that what was checked stays as it was."""
+    """A copy of a mapping that cannot be changed, so that checked values stay as they were."""
 
     def __init__(self, entries: Mapping[str, T]) -> None:
         self._entries = dict(entries)
@@ -69,7 +69,7 @@ def as_matrix(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def fixed(array: Array) -> Array:
-    """Return the array, which can be written to no more."""
+    """Make an array read-only, and return it."""
     array.setflags(write=False)
     return array
 

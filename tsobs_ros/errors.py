@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of this package: one root, subclasses that are also the expected builtin.
+"""Errors of this package, below one root; each is also the builtin error that callers expect.
 
-And the advice on missing libraries. Extras of the package ('tsobs_ros[design]') are of no use to
-those who built it with colcon, so the advice names the libraries.
+The module also has the advice on missing libraries. It names the libraries, as extras of the
+package ('tsobs_ros[design]') are of no use after a build with colcon.
 """
 
 import shlex
@@ -24,9 +24,9 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "pyarrow": ("pyarrow", "mcap-ros2-support"),
     "rich": ("rich",),
 }
-"""Modules that may be missing, each with what to install then."""
+"""Modules that may be missing, each with the packages to install."""
 CORE = "tsobs_ros.core.native"
-"""The compiled core, missing where the sources were only copied, or older than they are."""
+"""The compiled core: missing if the sources were only copied, or possibly older than they are."""
 
 
 class TsobsError(Exception):
@@ -41,7 +41,7 @@ class DesignError(TsobsError, RuntimeError):
     """A gain could not be designed: the solver failed or its answer did not pass the re-check.
 
     Attributes:
-        remedies: Changes of the request that were found to have a design, of `design.synthesis`.
+        remedies: Changes of the request for which `design.synthesis` found a design.
     """
 
     def __init__(self, message: str, remedies: Sequence[Any] = ()) -> None:
@@ -50,7 +50,7 @@ class DesignError(TsobsError, RuntimeError):
 
 
 class DetectabilityError(DesignError):
-    """A design cannot exist because a mode of the error system is not seen by the sensor."""
+    """A design cannot exist because the sensor does not see a mode of the error system."""
 
 
 class DesignFileError(TsobsError, ValueError):
@@ -78,7 +78,7 @@ class OutputError(TsobsError, OSError):
 
 
 class LogError(TsobsError, ValueError):
-    """An arm's own log cannot be read: a column is missing, or a cell is not what it should be."""
+    """An arm's own log cannot be read: a column is missing, or a cell is malformed."""
 
 
 class MessageError(TsobsError, ValueError):
@@ -86,14 +86,14 @@ class MessageError(TsobsError, ValueError):
 
 
 class NodeError(TsobsError, RuntimeError):
-    """A node cannot start or go on, for a reason its user can act on."""
+    """A node cannot start or continue, for a reason that its user can act on."""
 
 
 def printable(text: str, newline: str = r"\n") -> str:
-    """Return a text with everything escaped that a terminal would obey instead of showing it.
+    """Return a text in which everything that a terminal would obey instead of show is escaped.
 
-    Names in bags, messages and files may be anything. `newline` comes between lines; by default it
-    is escaped too, as in a name.
+    Names in bags, messages and files may contain anything. `newline` separates the lines; the
+    default is an escaped newline, as for names.
 
     >>> print(printable("joint\\x1b[2J\\nb"))
     joint\\x1b[2J\\nb
@@ -114,10 +114,10 @@ def complain(problem: object) -> int:
 
 
 def complain_of_missing(error: ModuleNotFoundError) -> int:
-    """Print what installs a missing module, and return the exit code 1.
+    """Print how to install a missing module, and return the exit code 1.
 
     Raises:
-        ModuleNotFoundError: It is the given error, on a module that belongs to no library.
+        ModuleNotFoundError: The given error, if its module belongs to no library.
     """
     if (advice := missing_library(error.name)) is None:
         raise error
@@ -125,9 +125,9 @@ def complain_of_missing(error: ModuleNotFoundError) -> int:
 
 
 def missing_library(name: str | None) -> str | None:
-    """Return that a module is missing and how to install it, as it fits this Python.
+    """Return the advice on a missing module: how to install it for this Python.
 
-    None if the module is not the core and belongs to no library of the package.
+    It is None if the module is not the core and belongs to no library of the package.
     """
     if name == CORE:
         fault = "is built from other C sources" if CORE in sys.modules else "is not built"
@@ -142,7 +142,7 @@ def missing_library(name: str | None) -> str | None:
         return None
     libraries = list(LIBRARIES[module])
     with suppress(PackageNotFoundError):
-        if version("numpy").startswith("1."):  # that ROS and libraries of the system were built for
+        if version("numpy").startswith("1."):  # ROS and the system's libraries were built for it
             libraries.insert(0, "numpy<2")
     ros = "source ROS 2 Jazzy, or " if module == "rclpy" else ""
     return (

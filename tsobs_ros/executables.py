@@ -5,7 +5,7 @@
 Importing numpy and rclpy takes a second on a busy machine, and a signal in that time would end the
 process with a traceback or a failure. So each entry point first lets signals end the process with
 exit code 0, and only then imports its node module ``tsobs_ros.nodes.<name>``, whose ``create()``
-makes the node. From there on a signal raises a flag.
+makes the node. From then on, a signal sets a flag.
 """
 
 import os
@@ -55,9 +55,9 @@ def tsobs() -> int:
     _keep_standard_streams()
     try:
         exit_code: int = import_module("tsobs_ros.cli.main").main()
-    except ModuleNotFoundError as error:  # of what every command imports
+    except ModuleNotFoundError as error:  # of a module that every command imports
         exit_code = complain_of_missing(error)
-    except KeyboardInterrupt:  # a second one, while the first was reported
+    except KeyboardInterrupt:  # a second signal, while the first was reported
         exit_code = 1
     finally:
         ignore_signals()
@@ -65,7 +65,7 @@ def tsobs() -> int:
 
 
 def _keep_standard_streams() -> None:
-    """Put /dev/null where a standard stream is closed, or a file would get its number."""
+    """Open /dev/null for each closed standard stream, whose number a file would get otherwise."""
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
             os.fstat(number)
@@ -85,7 +85,7 @@ player = partial(run, "player")
 visualizer = partial(run, "visualizer")
 
 if __name__ == "__main__":
-    # `python -m tsobs_ros.executables observer …` where no script has been installed.
+    # `python -m tsobs_ros.executables observer …` if no script has been installed.
     if len(sys.argv) < 2 or sys.argv[1] not in _NAMES:
         print(f"usage: python -m tsobs_ros.executables {'|'.join(_NAMES)} …", file=sys.stderr)
         sys.exit(2)

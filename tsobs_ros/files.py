@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Opening of files that anybody may have put there, regular ones alone; files that appear whole.
+"""Opening of files that anybody may have put there, if they are regular; files that appear whole.
 
 A pipe that is called `x_0.mcap` waits for a writer for ever, and a link to `/dev/zero` never ends.
 """
@@ -21,11 +21,11 @@ def open_regular(path: Path) -> IO[bytes]:
     """Open a regular file, or a link to one, for reading.
 
     Raises:
-        OSError: It is none, or cannot be opened.
+        OSError: It is not a regular file, or cannot be opened.
     """
     if not S_ISREG(path.stat().st_mode):
         raise OSError(errno.EINVAL, "not a regular file", str(path))
-    # Without waiting, should it have become a pipe since.
+    # Without waiting, in case the path has become a pipe since the check.
     return open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
 
 
@@ -46,7 +46,7 @@ def fsync_folder(folder: Path) -> None:
 def naming_path(
     path: str | os.PathLike[str], error: Callable[[str], TsobsError], what: str = "read"
 ) -> Iterator[None]:
-    """Make an OSError of a block an error of a class that names the file; ours pass as they are."""
+    """Turn an OSError in a block into an `error` that names the file; a TsobsError passes as is."""
     try:
         yield
     except TsobsError:
@@ -70,10 +70,10 @@ def require_new(paths: Iterable[Path], *, force: bool) -> None:
 def written_whole(
     folder: Path, error: Callable[[str], TsobsError] = OutputError, *, force: bool = False
 ) -> Iterator[Path]:
-    """Yield a folder whose content moves to another, made if missing, once the block ended well.
+    """Yield a temporary folder whose content moves to `folder` once the block has succeeded.
 
-    Whatever else ends the block, a signal or a full disk, the other folder gets nothing of it. A
-    kill leaves the folder that was yielded, inside of the other: its name ends in `.partial`.
+    `folder` is made if missing. It gets nothing if the block fails, as by a signal or a full disk.
+    A kill leaves the temporary folder inside `folder`, under a name that ends in `.partial`.
 
     Raises:
         TsobsError: A file cannot be written, or exists and may not be replaced; of the class
@@ -89,7 +89,7 @@ def written_whole(
             _move(Path(partial), folder, error, force=force)
             fsync_folder(folder)
     except TsobsError as problem:
-        # Messages name the files as they would have been.
+        # Messages name the files by their final paths.
         problem.args = (str(problem).replace(partial or str(folder), str(folder)),)
         raise
     except OSError as problem:
@@ -103,7 +103,7 @@ def write_whole(
     *,
     force: bool = True,
 ) -> None:
-    """Make or replace a text file in one step, which a power cut cannot halve.
+    """Make or replace a text file in one step, so that a power cut cannot leave half of it.
 
     Raises:
         TsobsError: It cannot be written, or exists and may not be replaced; of the class `error`.
@@ -121,6 +121,6 @@ def _move(source: Path, target: Path, error: Callable[[str], TsobsError], *, for
         if not force and os.path.lexists(there):
             raise error(f"{there}: exists already")
         if entry.is_file():
-            with entry.open("rb") as stream:  # some disks say only now that they are full
+            with entry.open("rb") as stream:  # some disks report only now that they are full
                 os.fsync(stream.fileno())
         entry.rename(there)

@@ -38,23 +38,23 @@ METHODS = {
     "proportional_integral": "the same with an integral: takes the disturbance for motion",
     "paper": "the published method's observer, for T-S systems and the arm of its Example 3",
 }
-"""The methods by name, each with what to know about it."""
+"""The methods by name, each with a description."""
 
 EKFS = ("ekf", "ekf_augmented")
-"""The rivals of a report: EKFs that leave outliers out."""
+"""The EKFs in comparisons of a report: they leave outliers out."""
 
 FILTERS = ("ekf_plain", *EKFS)
 """All EKFs."""
 
 CERTIFIED = ("certified", "certified_fixed")
-"""The design's observer."""
+"""The design's observer, with and without learning."""
 
 _ARMS_ONLY = ("ekf_plain", "ekf_augmented", "high_gain", "proportional_integral")
 
 
 @dataclass(frozen=True)
 class ObserverSettings:
-    """How an observer is run, live and offline: all that decides numbers.
+    """Settings of an observer, live and offline: everything that determines its numbers.
 
     The observer's `--help` and the reference of its parameters describe each of them.
 
@@ -129,7 +129,7 @@ def read_parameters(path: Path, node: str = "observer") -> dict[str, Any]:
     Sections for all nodes, `/**`, count too.
 
     Raises:
-        ParameterError: The file is missing, no YAML, or has no parameters of the node.
+        ParameterError: The file is missing, is not YAML, or has no parameters of the node.
     """
     sections = read_yaml(path, ParameterError)
     found = dict[str, Any]()
@@ -151,7 +151,7 @@ def _flat(section: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def warning(design: Design, method: str) -> str:
-    """Return what a user of a method on a design is warned of, empty if there is nothing."""
+    """Return the warning to users of a method on a design, empty if there is none."""
     if method == "paper":
         return PAPER_WARNING if isinstance(design.request, ArmRequest) else SYSTEM_WARNING
     if method in (*CERTIFIED, *FILTERS):
@@ -165,7 +165,7 @@ def warning(design: Design, method: str) -> str:
 def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     """Return the observer that the settings name, for the model of a design.
 
-    The EKF of a T–S system leaves no sample out.
+    The EKF of a T–S system has no gate for outliers.
 
     Raises:
         ModelError: The method cannot observe this model.
@@ -221,7 +221,7 @@ def make_tracker(
     Args:
         design: The design.
         settings: Method, gates and timeouts; the node's defaults if None.
-        estimator: The observer, if it is made already: joints with the same design share it.
+        estimator: The observer if it exists already, as joints with the same design share one.
 
     Raises:
         ModelError: The method cannot observe this model, or a time is negative.
@@ -254,22 +254,22 @@ def export_c(
 ) -> tuple[int, int]:
     """Write a design's estimator into a file for C and C++ programs, as `tsobs export-c`.
 
-    It is all that a tracker is made of: a head, the model record and the memory record of a new
+    The file has all parts of a tracker: a header, the model record and the memory record of a new
     tracker, as little-endian words of 8 bytes. core/tsobs.h has the functions that open it.
 
     Args:
         design: From `load_design` or `synthesise`.
         output: The file, which is replaced.
         settings: Method, gates and timeouts; the node's defaults if None.
-        max_steps: Most measurements to which a late one can rewind, by default as many as the node.
-            Each takes the room of a state.
+        max_steps: Most measurements that a late one can rewind, by default as many as in the node.
+            Each takes the memory of a state.
 
     Returns:
-        The bytes of the file, and those of the room that a tracker needs in the program.
+        The size of the file and of the memory that a tracker needs in the program [bytes].
 
     Raises:
-        ModelError: The method cannot observe this model, or the number of measurements is not
-            within 1 and a million.
+        ModelError: The method cannot observe this model, or `max_steps` is not between 1 and a
+            million.
         OSError: The file cannot be written.
     """
     require_steps(max_steps)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios of what a request describes, so that nobody types an arm or a system twice."""
+"""Scenarios made from requests, so that nobody has to type an arm or a system twice."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -21,14 +21,14 @@ TORQUES = tuple(f"{side}_torque" for side in TorqueDisturbance._fields)
 """Names of the torques that disturb an arm."""
 
 EFFORT_ERROR = "effort_error"
-"""Name of what the reported torque of an arm has beyond the applied one."""
+"""Name of the difference between the reported and the applied torque of an arm."""
 
 
 def request_in(path: FilePath) -> ArmRequest | TSRequest:
-    """Return the request in a file, which is one or a design; its certificate is not needed.
+    """Return the request in a request or design file; a design's certificate is not judged.
 
     Raises:
-        DesignFileError: The file is missing, not YAML, or neither.
+        DesignFileError: The file is missing, not YAML, or neither of these.
 
     >>> from tsobs_ros.resources import config_path
     >>> request_in(config_path("elastic_joint.design.yaml")).rate
@@ -48,19 +48,19 @@ def scenario_of(
     process_noise_factor: float = 1.0,
     **others: Any,
 ) -> Scenario | SystemScenario:
-    """Return a scenario with a request's plant, outputs, noise and rate, and what differs from it.
+    """Return a scenario with a request's plant, outputs, noise and rate, and with given changes.
 
     Args:
-        request: What is designed.
+        request: The plant, its outputs, noise and rate.
         mismatch: Relative changes of the true arm, by the names of `Mismatch`, or θ of the true T–S
             system.
         initial_state: Physical state at the start.
-        excitation: Of every input, sin t if None; scheduled signals are 0.
-        signals: By name, of an output the components of its disturbance, and mappings with numbers
-            of its sensor; of an input or scheduled signal what it is, the last one; of an arm the
-            components of `TORQUES` and of `EFFORT_ERROR`.
-        noise_factor: Of the sensors' designed noise.
-        process_noise_factor: Of the densities of the process noise.
+        excitation: Signal of every input, sin t if None; scheduled signals are 0.
+        signals: Signals by name: for an output, the components of its disturbance and mappings
+            with numbers of its sensor; for an input or scheduled signal, its signals, of which the
+            last counts; for an arm, the components of `TORQUES` and of `EFFORT_ERROR`.
+        noise_factor: Factor on the sensors' designed noise.
+        process_noise_factor: Factor on the densities of the process noise.
         **others: Other fields of the scenario.
 
     Raises:
@@ -99,7 +99,7 @@ def scenario_of(
         own["model"], own["true_rates"] = model, model.rates + change
         own["process_noise"] = np.asarray(request.process_noise) * process_noise_factor
         own["initial_state"] = initial_state
-        # A scheduled signal that has the name of an output is that output as it is measured.
+        # A scheduled signal with the name of an output is the measured value of that output.
         own["fed_back"] = tuple(
             names.index(name) if name in names else None
             for name in request.input_names[model.input_count :]
@@ -107,7 +107,7 @@ def scenario_of(
         delays = [0.0] * len(names)
     scheduled = len(own.get("fed_back", ()))
     free = [excitation or Sine()] * (len(request.input_names) - scheduled)
-    # What an output that is an input, too, is given disturbs its measured value.
+    # If an output is an input too, its signals disturb its measured value.
     chosen = {name: each[-1] for name, each in given.items() if each and name not in names}
     own["inputs"] = tuple(map(chosen.get, request.input_names, [*free, *[Signal()] * scheduled]))
     own["outputs"] = ()

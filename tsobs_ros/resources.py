@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Find the files installed beside the package, however it was installed and without ROS.
+"""Paths of the files installed beside the package, for every kind of installation, without ROS.
 
-Those nearest to the running code win, so that code and files are of one version: of its source tree
-(checkout, editable install), of the prefix it is installed under (colcon, pip), of the environment.
+The files nearest to the running code are taken, so that both have the same version: those of its
+source tree (checkout, editable install), else of its prefix (colcon, pip), else of the environment.
 """
 
 import os

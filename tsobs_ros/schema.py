@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Plain data of files as dataclasses and back: an error has the path of the wrong entry.
+"""Conversion of plain data in files to dataclasses and back; errors have the path of the entry.
 
 >>> from dataclasses import make_dataclass
 >>> Spring = make_dataclass("Spring", [("stiffness", float)])
@@ -38,14 +38,14 @@ _WORDS = {
 
 
 def decode(data: object, kind: type[T], **given: Any) -> T:
-    """Return plain data as an instance of a type. Entries of unknown names are refused.
+    """Return plain data as an instance of a type; entries with unknown names are refused.
 
-    Fields of a dataclass that are given already are no entries.
+    Fields in `given` take their values from there, and must not be entries of the data.
 
-    Text such as 1e-4 counts as a number, which YAML 1.1 does not take for one. The type is a
-    dataclass of plain types, lists, tuples, mappings and dataclasses; None in a union is for an
+    Text such as 1e-4 counts as a number, although YAML 1.1 reads it as text. The type is a
+    dataclass of plain types, lists, tuples, mappings and dataclasses. A union with None is for an
     entry that may be left out, `numpy.ndarray` for numbers in lists of lists. A class with
-    `from_mapping` is made by that. A field's metadata may have the `name` of its entry.
+    `from_mapping` is made by that method. A field's metadata may have the `name` of its entry.
 
     Raises:
         DesignFileError: The data is not of this type; the text has the path of the entry.
@@ -55,7 +55,7 @@ def decode(data: object, kind: type[T], **given: Any) -> T:
 
 
 def encode(value: Any) -> Any:
-    """Return the plain data that `decode` makes the value of, without entries that are None."""
+    """Return a value as the plain data that `decode` reads, without entries that are None."""
     if is_dataclass(value):
         given = {
             name: getattr(value, field)
@@ -75,20 +75,20 @@ def encode(value: Any) -> Any:
 
 @contextlib.contextmanager
 def within(place: str | PathLike[str], *, is_file: bool = False) -> Iterator[None]:
-    """Put the name of an entry, or its path, in front of what its values are refused for."""
+    """Put the name or the path of an entry in front of errors about its values."""
     try:
         yield
     except _REFUSALS as problem:
         text, joint = str(problem), ": "
         if not is_file and (text.startswith("[") or not place):
             joint = ""
-        elif not is_file and re.match(r"\w+(\.\w+|\[\d+\])*: ", text):  # a path inside of it
+        elif not is_file and re.match(r"\w+(\.\w+|\[\d+\])*: ", text):  # a path inside it
             joint = "."
         raise DesignFileError(f"{place}{joint}{text}") from problem
 
 
 naming = partial(within, is_file=True)
-"""Puts a file in front of what its values are refused for."""
+"""Puts the name of a file in front of errors about its values."""
 
 
 @lru_cache
@@ -125,7 +125,7 @@ def _decoded(data: Any, kind: Any, given: Mapping[str, Any] = MappingProxyType({
 
 
 def _shape(kind: Any) -> Any:
-    """Return what plain data an instance is made of: Any, dict, list or a plain type."""
+    """Return the plain data that make an instance: Any, dict, list or a plain type."""
     origin = get_origin(kind) or kind
     if origin is Any or origin in _WORDS:
         return origin

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Stamped rows of numbers, of which runs are made, and numbers in bounded memory."""
+"""Stamped rows of numbers, in memory or, for long recordings, in temporary files."""
 
 from tempfile import TemporaryFile
 from typing import Any, NamedTuple, TypeAlias
@@ -14,7 +14,7 @@ from tsobs_ros.checks import Array
 Stamps: TypeAlias = NDArray[np.int64]
 
 NANOSECONDS = 1_000_000_000
-"""Stamps are integer nanoseconds, so that differences of them are exact."""
+"""Stamps are integer nanoseconds, so that their differences are exact."""
 
 
 class Series(NamedTuple):
@@ -23,7 +23,7 @@ class Series(NamedTuple):
     Attributes:
         stamps: [ns], shape (n,).
         values: NaN where there is none, shape (n, k).
-        log_times: When they were recorded [ns], shape (n,); empty if that does not matter.
+        log_times: Times of recording [ns], shape (n,); empty if they do not matter.
     """
 
     stamps: Stamps
@@ -50,7 +50,7 @@ class Spool:
     """Records that grow in a temporary file, so that long recordings need little memory.
 
     Attributes:
-        type: Of a record.
+        type: Data type of a record.
 
     >>> spool = Spool(np.dtype(np.int64))
     >>> spool.add(np.arange(2))
@@ -71,7 +71,7 @@ class Spool:
     def read(self) -> Any:
         """Return all records, which are paged in as they are used, shape (n,)."""
         self._file.flush()
-        size = self._file.tell()  # of nothing there is no map
+        size = self._file.tell()  # an empty file cannot be mapped
         found = np.memmap(self._file, self.type, "r+") if size else np.zeros(0, self.type)
         return found.view(np.recarray) if self.type.names else found
 

@@ -32,7 +32,7 @@ MIN_RATE = 0.01
 """Least rate of samples and of estimates [Hz]."""
 
 _KEY = "tsobs_ros.setting"
-# Of each type: what ROS calls it, one and several of it in words, and what counts as one.
+# For each type: its name in ROS, one and several values in words, and the accepted class.
 _TYPES: Mapping[type, tuple[str, str, str, Any]] = {
     bool: ("bool", "true or false", "booleans", bool),
     int: ("integer", "an integer", "integers", Integral),
@@ -47,7 +47,7 @@ class Setting:
 
     Attributes:
         default: Value if the user gives none: bool, int, float, str or a tuple of these.
-        summary: One line, without the unit.
+        summary: A description in one line, without the unit.
         unit: SI unit, or "".
         minimum: Least accepted value, in `unit`; of each element of a tuple.
         maximum: Greatest accepted value, in `unit`; of each element of a tuple.
@@ -84,7 +84,7 @@ class Setting:
 
     @property
     def limits(self) -> str:
-        """What is accepted, in words."""
+        """The accepted values, in words."""
         ends = (("at least", self.minimum), ("at most", self.maximum))
         limits = [f"{words} {end}" for words, end in ends if end is not None]
         return f"one of: {', '.join(self.choices)}" if self.choices else " and ".join(limits)
@@ -96,7 +96,7 @@ class Setting:
 
     @property
     def expectation(self) -> str:
-        """What a refused value should have been, in words."""
+        """The expected values in words, for the error about another one."""
         _, one, several, _ = _TYPES[self.type]
         expected = f"a list of {several}" if self.is_array else one
         if self.limits:
@@ -105,10 +105,10 @@ class Setting:
         return f"expected {expected}{self.unit and f' {self.unit}'}"
 
     def accepted(self, value: Any) -> Any:
-        """Return a value in the setting's type; None if it is refused, as text for a number is."""
+        """Return a value in the setting's type; None if it is refused, as is text for a number."""
         if not self.is_array:
             return self._accepted(value)
-        if value is None:  # rcl hands `name: []` over like this
+        if value is None:  # this is how rcl passes `name: []`
             return ()
         if isinstance(value, str | bytes) or not isinstance(value, Iterable):
             return None
@@ -151,7 +151,7 @@ class Setting:
 def setting(default: T, summary: str, **rules: Any) -> T:
     """Declare a dataclass field as a setting; the rules are the other attributes of `Setting`.
 
-    The field is typed as the default so that annotations check.
+    The return type is that of the default, so that type checkers accept the annotation.
     """
     return field(default=default, metadata={_KEY: Setting(default, summary, **rules)})
 
@@ -162,7 +162,7 @@ def live_setting(default: T, summary: str, **rules: Any) -> T:
 
 
 def settings_of(make: Any) -> dict[str, Setting]:
-    """Return the settings of a dataclass and of those in it by their full names, in order."""
+    """Return the settings of a dataclass and of dataclasses in it, by full name, in order."""
     found: dict[str, Setting] = {}
     for item in fields(make):
         inner: dict[str, Setting] = {}
@@ -184,7 +184,7 @@ def check(record: Any, name: str = "") -> None:
     """Refuse a dataclass of settings if one of them has a value that is not accepted.
 
     Raises:
-        ParameterError: The first such value; a ModelError if `name` says what the record is.
+        ParameterError: For the first such value; a ModelError instead if `name` is given.
     """
     for full_name, rule in settings_of(type(record)).items():
         if rule.accepted(value := attrgetter(full_name)(record)) is None:
@@ -196,7 +196,7 @@ def check(record: Any, name: str = "") -> None:
 def changed(record: T, values: Mapping[str, Any]) -> T:
     """Return an instance of a dataclass of settings with some of them changed.
 
-    They are named in full; text is converted.
+    Settings have their full names; text is converted.
 
     Raises:
         ParameterError: There is no such setting, a value is not accepted, or they contradict each
@@ -225,7 +225,7 @@ def _changed(record: Any, values: Mapping[str, Any], prefix: str = "") -> Any:
 
 
 def in_yaml(value: Any) -> str:
-    """Return a value as YAML has it."""
+    """Return a value as text in YAML."""
     if isinstance(value, str):
         return f"'{value}'"
     return json.dumps(value, default=repr, ensure_ascii=False)

@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The actions of SIGINT, SIGTERM and SIGHUP; imports nothing heavy, to be in place early.
+"""The actions of SIGINT, SIGTERM and SIGHUP, without heavy imports, to be in place early.
 
-Not even typing, which alone takes four times as long as everything else up to the first handler:
-a signal that comes before kills the process.
+Not even typing is imported: it takes four times as long as everything else up to the first
+handler, and an earlier signal kills the process.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
 
 
 PARENT = "TSOBS_PARENT"
-"""Variable with the reading end of a pipe whose other end only the parent holds, such as a demo."""
+"""Variable with the reading end of a pipe; only the parent, such as a demo, has the other end."""
 
 
 def end_at_once(exit_code: int = 0) -> None:
@@ -35,7 +35,7 @@ def end_at_once(exit_code: int = 0) -> None:
 
 
 def end_with_parent() -> None:
-    """Let the end of the process that holds the other end of `PARENT` interrupt this one."""
+    """Interrupt this process when the parent, which holds the other end of `PARENT`, ends."""
     pipe = os.environ.pop(PARENT, "")
 
     def wait() -> None:
@@ -50,7 +50,7 @@ def interrupt() -> None:
     """Let the first of the signals raise KeyboardInterrupt; further ones change nothing."""
 
     def raise_once(number: int, frame: FrameType | None) -> None:
-        # Not by SIG_IGN: the interpreter complains of a signal that came before that.
+        # Not SIG_IGN, with which the interpreter complains about a signal that came before.
         for each in _SIGNALS:
             signal.signal(each, lambda _number, _frame: None)
         raise KeyboardInterrupt
@@ -69,13 +69,13 @@ def interrupt() -> None:
 
 
 def ignore_signals() -> None:
-    """Ignore the signals for the rest of the process, also once the interpreter shuts down."""
+    """Ignore the signals for the rest of the process, even while the interpreter shuts down."""
     for number in _SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
 def signal_came() -> bool:
-    """Say whether a signal came to a flag that has caught them."""
+    """Return whether a signal came to the latest flag."""
     return StopFlag.last is not None and StopFlag.last()
 
 
@@ -85,7 +85,7 @@ class StopFlag:
     Further signals change nothing, so an impatient second Ctrl-C cannot interrupt the teardown.
 
     Attributes:
-        last: The flag that catches the signals, None before there is one.
+        last: The latest flag that has caught signals, None before there is one.
     """
 
     last: StopFlag | None = None

@@ -3,8 +3,8 @@
 """YAML from files that anybody may have written: plain data, in bounded time and memory.
 
 A few lines can make `yaml.safe_load` build gigabytes (merge keys), overflow the stack (a million
-brackets), return a structure that is endless to walk through (aliases of aliases), or calculate for
-minutes (numbers in base 60). None of our files needs any of this.
+brackets), return a structure that takes for ever to walk through (aliases of aliases), or calculate
+for minutes (numbers in base 60). None of our files needs any of this.
 """
 
 import re
@@ -24,7 +24,7 @@ MAX_BYTES = 1 << 20
 _MAX_NODES = 100_000
 _MAX_DEPTH = 50
 _TAGS = re.compile(r"(^|[\r\n\x85\u2028\u2029])\ufeff?%TAG")
-# PyYAML takes the square of their length for those with colons.
+# With colons, PyYAML's time grows with the square of the length.
 _LONG_NUMBER = re.compile(r"[-+0-9_:.]{200,}")
 
 # libyaml's parser is five times as fast; PyYAML without it behaves the same.
@@ -45,7 +45,7 @@ def read_yaml(path: str | PathLike[str], error: MakeError = DesignFileError) -> 
 
 
 def read_text(path: str | PathLike[str], error: MakeError = DesignFileError) -> str:
-    """Return a small file's text, with its line ends as they are; as `read_yaml`."""
+    """Return a small file's text with its line ends unchanged; raises as `read_yaml`."""
     with naming_path(path, error), open_regular(Path(path)) as stream:
         raw = stream.read(MAX_BYTES + 1)
     if len(raw) > MAX_BYTES:
@@ -59,7 +59,7 @@ def read_text(path: str | PathLike[str], error: MakeError = DesignFileError) -> 
 def yaml_mapping(
     text: str, name: str | PathLike[str], error: MakeError = DesignFileError
 ) -> dict[Any, Any]:
-    """Return the mapping that a YAML text of a file holds; as `read_yaml`."""
+    """Return the mapping that a YAML text of a file holds; raises as `read_yaml`."""
     try:
         data = load_yaml(text)
     except ValueError as problem:
@@ -70,7 +70,7 @@ def yaml_mapping(
 
 
 def yaml_text(header: str, data: Mapping[str, Any]) -> str:
-    """Return plain data, of which no part occurs twice, as YAML after lines of comment."""
+    """Return plain data as YAML below a comment; no part of the data may occur twice."""
     text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
     return header + text
 
@@ -80,7 +80,7 @@ def load_yaml(text: str) -> object:
 
     Raises:
         ValueError: It is not YAML, is too large, has aliases, merge keys, tags of other languages
-            or nests too deep; the text is one line.
+            or nests too deep; the message is one line.
     """
     if len(text) > MAX_BYTES:
         raise ValueError(f"larger than {MAX_BYTES} bytes")
@@ -92,13 +92,13 @@ def load_yaml(text: str) -> object:
         line = f"line {mark.line + 1}: " if mark else ""
         raise ValueError(line + str(problem or error).partition("\n")[0]) from error
     except (ValueError, OverflowError, RecursionError) as error:
-        # A date that does not exist, a number of five thousand digits.
+        # Such as a date that does not exist, or a number of five thousand digits.
         raise ValueError(str(error).partition("\n")[0]) from error
 
 
 def _check_structure(text: str) -> None:
-    """Refuse what is dangerous to build, by its events alone: the parser does not recurse."""
-    if _TAGS.search(text):  # libyaml compares each with all before it
+    """Refuse structures that are dangerous to build, by parser events alone: without recursion."""
+    if _TAGS.search(text):  # libyaml compares each one with all before it
         raise ValueError("abbreviations of tags are not supported")
     depth = nodes = 0
     for event in yaml.parse(text, Loader=_LOADER):

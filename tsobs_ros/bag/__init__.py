@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags: recording to, and reading from, the MCAP bags of ROS 2 Jazzy; no ROS import needed.
+"""MCAP bags of ROS 2 Jazzy: writers and readers that need no ROS import.
 
-Names are imported when they are first used: the observer encodes messages without the libraries
-that files take.
+Each name is imported on first use, so that the observer can encode messages without the libraries
+that bag files need.
 """
 
 from importlib import import_module

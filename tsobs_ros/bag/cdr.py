@@ -1,12 +1,12 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as bytes on the wire (CDR), without ROS: texts, ticks; arrays of messages.
+"""CDR messages as bytes on the wire, without ROS: strings, ticks, and arrays of messages.
 
-A message of the tick log of an observer is a std_msgs/Int64MultiArray of one tick, so that a replay
-is a loop: its time on the observer's clock [ns], which is the stamp of its estimates, the number of
-ticks since the restart, from 1, whether there were estimates, and the CRC-32 of each measurement
-message taken, in the order of taking. A tick with neither estimates nor measurements is left out,
-and not counted.
+An observer's tick log has one std_msgs/Int64MultiArray per tick, so that a replay is a plain loop.
+Each message has the tick's time on the observer's clock [ns], which is also the stamp of its
+estimates; the number of the tick since the restart, counted from 1; whether there were estimates;
+and the CRC-32 of each measurement message taken, in the order in which they were taken. A tick
+with neither estimates nor measurements is neither logged nor counted.
 """
 
 import struct
@@ -21,16 +21,16 @@ from tsobs_ros.errors import MessageError
 from tsobs_ros.series import NANOSECONDS
 
 HEADER = 4
-"""Bytes before the body, from whose end alignment counts."""
+"""Size of the header in bytes; alignment counts from its end."""
 
 LITTLE = b"\x00\x01\x00\x00"
-"""The header of messages: plain CDR in little-endian order, as all middlewares send it."""
+"""The header of every message: plain little-endian CDR, which all middlewares send."""
 
 
 class CdrReader:
-    """A place in a message, which moves on as values are read, each inside of its bounds.
+    """A read position in a message; each read checks the message's bounds and moves on.
 
-    `place` is the next byte to read, counted from the beginning of the header.
+    `place` is the offset of the next byte to read, counted from the beginning of the header.
 
     Raises:
         MessageError: The header is missing, or announces another encoding.
@@ -47,11 +47,11 @@ class CdrReader:
 
     @property
     def left(self) -> int:
-        """How many bytes there still are."""
+        """The number of bytes that are not read yet."""
         return len(self._data) - self.place
 
     def skip(self, size: int, what: str) -> int:
-        """Move on by so many bytes, which there must be; return the place of the first."""
+        """Skip `size` bytes, all of which must exist; return the offset of the first."""
         if size > self.left:
             raise MessageError(
                 f"{what}: expected {size} bytes at {self.place}, but the message ends after "
@@ -66,7 +66,7 @@ class CdrReader:
         return int(seconds) * NANOSECONDS + int(nanoseconds)
 
     def count(self, what: str, least_size: int) -> int:
-        """Read how many elements of at least so many bytes follow."""
+        """Read the number of elements that follow, each of at least `least_size` bytes."""
         count = int(self._unpack("I", 4, 4, what)[0])
         if count * least_size > self.left:
             raise MessageError(
@@ -104,7 +104,7 @@ def encode_text(text: str) -> bytes:
 
 
 class MessageSeries(NamedTuple):
-    """Messages of a topic that have the same size, n of them.
+    """A topic's messages of one size, n of them.
 
     Times are in ns since the epoch, shape (n,); `data` is in CDR, shape (n, size).
     """
@@ -121,8 +121,8 @@ TICK_LOG = "std_msgs/msg/Int64MultiArray"
 
 _LABEL = b"stamp [ns], tick since the restart, estimated, CRC-32 of each measurement\0"
 _LABEL += bytes(-len(_LABEL) % 4)
-# Header of CDR, one dimension with label, size and stride, no offset, number of values; values are
-# aligned to 8 behind the header.
+# CDR header, one dimension with label, size and stride, an offset of 0, and the number of values.
+# The values are aligned to 8 bytes, counted from the end of the CDR header.
 _FRONT = struct.Struct(f"<4sII{len(_LABEL)}sIIII")
 _BEGIN = _FRONT.size + -(_FRONT.size - HEADER) % 8
 _FIXED = 3
@@ -139,18 +139,18 @@ def encode_tick(stamp: int, number: int, estimated: bool, messages: Iterable[byt
 
 
 def encode_ticks(values: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the bytes of messages, shape (n, size), whose values are as of `decode_ticks`."""
+    """Return messages as bytes, shape (n, size), from values as `decode_ticks` returns them."""
     front = np.frombuffer(_tick_front(values.shape[1]), np.uint8)
     return np.hstack([np.tile(front, (len(values), 1)), values.astype("<i8").view(np.uint8)])
 
 
 def decode_ticks(messages: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return the values of messages of one size, whose bytes have the shape (n, size).
+    """Return the values of messages of one size, given as bytes of shape (n, size).
 
-    They are stamp, number, whether estimated, and checksums, a row each, shape (n, 3 + count).
+    Each row has the stamp, number, whether estimated, and the checksums; shape (n, 3 + count).
 
     Raises:
-        MessageError: They are none of a tick log.
+        MessageError: The messages are not those of a tick log.
     """
     count, rest = divmod(messages.shape[1] - _BEGIN, 8)
     front = np.frombuffer(_tick_front(max(0, count)), np.uint8)

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The MCAP container: the summary of a file, its chunks, and the messages in them.
 
-The records are those of the library `mcap`. Ours are the limits, as the library accepts any length
-a file states, and the splitting of a chunk into messages, which the compiled core does.
+The record types are those of the library `mcap`. This module adds limits, because the library
+accepts any length that a file states, and splits chunks into messages with the compiled core.
 """
 
 import struct
@@ -33,8 +33,8 @@ Rows = NDArray[np.void]
 ROW = np.dtype(
     [(f, np.int64) for f in ("channel", "log_time", "publish_time", "begin", "size", "chunk")]
 )
-"""A message: its channel, times [ns], the first byte and the size of its data in some records, and
-the key of these records if there are several. Times that do not fit 63 bits are negative."""
+"""A message: its channel, times [ns], first byte and size of its data in a run of records, and the
+key of this run if there are several. Times that do not fit 63 bits are negative."""
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -45,20 +45,20 @@ MESSAGE = struct.Struct("<BQHIQQ")
 """The start of a message: opcode, length, channel, sequence, log time, publish time."""
 
 CHUNK_HEAD = struct.Struct("<BQQQQII")
-"""The start of a chunk: opcode, length, first and last log time, size, checksum, size of a name."""
+"""Start of a chunk: opcode, length, first and last log time, size, checksum, size of codec name."""
 CHUNK_HEAD_SIZE = 80
 
 INDEX_HEAD = struct.Struct("<BQHI")
 """The start of a message index: opcode, length, channel, size of its entries."""
 
 MAX_SIZE = 2**28
-"""The largest record and chunk content that is read, bytes; larger ones are damage."""
+"""The largest record and chunk content that is read [bytes]; anything larger is damage."""
 
 MAX_SUMMARY_SIZE = 2**27
-"""The largest summary that is read, bytes: of a million chunks, a recording of days."""
+"""The largest summary that is read [bytes]: enough for a million chunks, a recording of days."""
 
 MAX_MESSAGES = 2**20
-"""The largest number of messages of a chunk: as objects they take 300 MB."""
+"""The largest number of messages in a chunk; as Python objects they take 300 MB."""
 
 RECOVER_HINT = "'tsobs bag recover' makes a whole bag of what it holds"
 
@@ -69,14 +69,14 @@ _MAX_STATISTICS_SIZE = 2**20
 _FOOTER = struct.Struct("<QQI")
 _FOOTER_START = RECORD.pack(Opcode.FOOTER, _FOOTER.size)
 END_SIZE = RECORD.size + _FOOTER.size + len(MAGIC)
-"""Bytes of the footer and what follows it."""
+"""Size of the footer and of the magic bytes behind it [bytes]."""
 _MAX_HEADER_SIZE = 2**16
-# More than a robot's schemas and channels take.
+# A robot's schemas and channels take less.
 _MAX_DESCRIPTIONS = 2**24
 
 
 class RecordError(ValueError):
-    """Bytes that are not the records they should be."""
+    """Bytes that are not the expected records."""
 
 
 class Records(NamedTuple):
@@ -94,16 +94,16 @@ class Records(NamedTuple):
 
 
 def split_records(data: bytes) -> Records:
-    """Return the messages in whole records, such as those of a decompressed chunk.
+    """Return the messages in a run of whole records, such as a decompressed chunk.
 
     Raises:
-        RecordError: A record is cut off or malformed, or there are too many.
+        RecordError: A record is cut off or malformed, or there are too many messages.
 
     >>> record = MESSAGE.pack(Opcode.MESSAGE, 24, 1, 0, 20, 10) + b"hi"
     >>> split_records(record).rows["log_time"].tolist()
     [20]
     """
-    # Memory that nothing is written to costs nothing.
+    # Parts of this array that are never written take no memory.
     fields = list(ROW.names or ())[:-1]
     found = np.empty((len(fields), min(len(data) // MESSAGE.size, MAX_MESSAGES)), np.int64)
     count = native.messages_split(data, found)
@@ -117,14 +117,14 @@ def split_records(data: bytes) -> Records:
 
 
 def by_channel(rows: Rows) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Yield each channel with the places of its messages, ascending."""
+    """Yield each channel with the row numbers of its messages, ascending."""
     order = np.argsort(rows["channel"], kind="stable")
     ids, begins = np.unique(rows["channel"][order], return_index=True)
     return zip(ids.tolist(), np.split(order, begins[1:]), strict=False)
 
 
 def message_indexes(rows: Rows) -> Iterator[tuple[int, int, bytes]]:
-    """Yield the channels in a chunk, by first message, each with its count and message index."""
+    """Yield each channel of a chunk with its count and message index, ordered by first message."""
     entries = np.stack([rows["log_time"], rows["begin"] - MESSAGE.size], axis=1).astype("<i8")
     for channel, places in sorted(by_channel(rows), key=lambda each: int(each[1][0])):
         own = entries[places].tobytes()
@@ -134,17 +134,17 @@ def message_indexes(rows: Rows) -> Iterator[tuple[int, int, bytes]]:
 
 
 def pieces(data: NDArray[np.uint8], size: int) -> NDArray[np.void]:
-    """Return the `size` bytes that begin at each place of some data, which are not copied."""
+    """Return a view, without a copy, of the `size` bytes that begin at each offset of `data`."""
     return np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
 
 
 def read_chunk(chunk: Chunk) -> Records:
-    """Return what is in a chunk, decompressed and checked.
+    """Return the records of a chunk, decompressed and checked.
 
     Raises:
-        RecordError: It states more than `MAX_SIZE` bytes of content, its content cannot be
-            decompressed, has another size or checksum than it states, is malformed, or too much of
-            it are no messages.
+        RecordError: The chunk states more than `MAX_SIZE` bytes of content; or its content cannot
+            be decompressed, has a size or checksum other than stated, is malformed, or has too many
+            bytes outside of messages.
     """
     if chunk.uncompressed_size > MAX_SIZE:
         raise RecordError(f"the chunk states {chunk.uncompressed_size} bytes, too many to read")
@@ -185,10 +185,10 @@ def _decompressed(chunk: Chunk) -> bytes:
 
 
 class Span(NamedTuple):
-    """A chunk, which is read at once: its first and last log time [ns], and where it is.
+    """The location of a chunk, which is read as a whole, and its first and last log time [ns].
 
-    `rank` is the place of its file in the bag, `offset` its first byte there, `size` in bytes;
-    `places` are those of its message indexes in the file, as its record has them.
+    `rank` is the number of its file in the bag, `offset` its first byte in that file, `size` is in
+    bytes; `places` has the offsets of its message indexes in the file, encoded as in its record.
     """
 
     start: int
@@ -200,7 +200,7 @@ class Span(NamedTuple):
 
     @property
     def index_offsets(self) -> dict[int, int]:
-        """The places of its message indexes in the file, by channel; a file may have none."""
+        """The offsets of its message indexes in the file, by channel; a file may have none."""
         return dict(_INDEX_OFFSET.iter_unpack(self.places))
 
 
@@ -219,11 +219,11 @@ class Summary(NamedTuple):
 
 
 def read_summary(path: Path, rank: int = 0) -> Summary:
-    """Return the summary of a finished MCAP file, which has a place in a bag.
+    """Return the summary of a finished MCAP file; `rank` is the number of the file in its bag.
 
     Raises:
-        BagReadError: It cannot be read, is not an MCAP file, has no end or no summary, or they are
-            damaged.
+        BagReadError: The file cannot be read, is not an MCAP file, has no end or no summary, or
+            either is damaged.
     """
     try:
         with naming_path(path, BagReadError), open_regular(path) as stream:
@@ -256,7 +256,7 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
     summary = parse_summary(stream.read(size - END_SIZE - start), footer, rank)
     summary = summary._replace(path=path, profile=header.profile)
     spans = summary.spans
-    # Else a few bytes of index could ask for the same large chunk again and again.
+    # Otherwise a few bytes of index could have the same large chunk read again and again.
     for one, other in pairwise(sorted(spans, key=attrgetter("offset"))):
         if one.offset + one.size > other.offset:
             raise RecordError(f"the index states chunks that overlap at byte {other.offset}")
@@ -266,18 +266,18 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
 
 
 def find_footer(end: bytes) -> Footer | None:
-    """Return the footer at the end of a file, of which these are the last `END_SIZE` bytes."""
+    """Return the footer from the last `END_SIZE` bytes of a file; None if it has no footer."""
     if not end.startswith(_FOOTER_START) or len(end) < END_SIZE or not end.endswith(MAGIC):
         return None
     return Footer(*_FOOTER.unpack_from(end, RECORD.size))
 
 
 def parse_summary(data: bytes, footer: Footer, rank: int = 0) -> Summary:
-    """Return what the records of a summary state; its path and profile are empty.
+    """Return the summary from its records; its path and profile are empty.
 
     Raises:
-        RecordError: A record is malformed, there is none with the counts, these differ, or the
-            checksum does not hold.
+        RecordError: A record is malformed, the statistics are missing or state another number of
+            chunks, or the checksum does not match.
     """
     # The checksum covers the summary and the footer up to the checksum.
     places = _FOOTER.pack(footer.summary_start, footer.summary_offset_start, 0)[:-4]
@@ -311,14 +311,14 @@ def parse_summary(data: bytes, footer: Footer, rank: int = 0) -> Summary:
 
 
 def parse_record(record: bytes) -> McapRecord:
-    """Return the record that some bytes are, of a kind that the library `mcap` has.
+    """Return the parsed record, which must be of a kind that the library `mcap` has.
 
     Raises:
-        RecordError: They are no such record, or not as many bytes as the lengths in it need.
+        RecordError: The bytes are no such record, or their number does not match its lengths.
     """
     written: Any = RecordBuilder()
     try:
-        # From memory, so that no length allocates more than there is.
+        # From memory, so that no stated length allocates more than exists.
         reader = StreamReader(BytesIO(record), skip_magic=True, emit_chunks=True)
         found = next(reader.records)
         found.write(written)
@@ -331,7 +331,7 @@ def parse_record(record: bytes) -> McapRecord:
 
 
 def _each(data: bytes) -> Iterator[bytes]:
-    """Yield each of the records that some bytes are."""
+    """Yield each record in `data`."""
     at = 0
     while at < len(data):
         opcode, length = RECORD.unpack(data[at : at + RECORD.size].ljust(RECORD.size, b"\0"))
@@ -343,7 +343,7 @@ def _each(data: bytes) -> Iterator[bytes]:
 
 
 def _chunk_span(record: bytes, rank: int) -> Span:
-    """Return the chunk that a chunk index is of; the library takes ten times as long."""
+    """Return the chunk that a chunk index describes; the library would take ten times as long."""
     padded = record.ljust(_CHUNK_INDEX.size, b"\xff")
     _, _, start, end, offset, size, index_size = _CHUNK_INDEX.unpack_from(padded)
     rest = _CHUNK_INDEX.size + index_size
@@ -353,9 +353,9 @@ def _chunk_span(record: bytes, rank: int) -> Span:
 
 
 def chunk_head(head: bytes) -> tuple[Chunk, int, int]:
-    """Return a chunk without its data, where in the record that starts, and the record's size.
+    """Return a chunk without its data, the offset of the data in the record, and the record's size.
 
-    `head` are the first `CHUNK_HEAD_SIZE` bytes of the record.
+    `head` is the first `CHUNK_HEAD_SIZE` bytes of the record.
 
     Raises:
         RecordError: There is no chunk, or one of more than `MAX_SIZE` bytes.

@@ -1,15 +1,15 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""MCAP files that may be damaged anywhere: what they still hold, and what is lost between that.
+"""MCAP files that may be damaged anywhere: their intact parts, and the losses in between.
 
-Three things are certain. The checksum of a chunk covers its records. The head of a chunk states its
-size twice. And a file that was cut off is intact up to the cut. So a chunk is taken if its checksum
-holds, and after bytes that are no record the next chunk is searched for. A file that ends with a
-footer was not cut off.
+Three facts are certain. The checksum of a chunk covers its records, the head of a chunk states its
+size twice, and a file that was cut off is intact up to the cut. A chunk is therefore kept if its
+checksum matches, and after bytes that are no record the next chunk is searched for. A file that
+ends with a footer was not cut off.
 
-But messages may carry MCAP files themselves, and a disk may hold chunks of other files. So of a
-file with a sound summary only the chunks that it states are its own. In others a chunk that comes
-again is dropped, and nothing is searched for if there are marks of further files.
+However, messages may carry MCAP files themselves, and a disk may hold chunks of other files. In a
+file with a sound summary, only the chunks that the summary states count. In any other file, a
+repeated chunk is dropped, and there is no search if the file has the magic bytes of further files.
 """
 
 import os
@@ -57,7 +57,7 @@ Progress = Callable[[int], object]
 _MAX_OTHER_SIZE = 2**24
 _MAX_DAMAGES = 10_000
 _BLOCK_SIZE = 2**20
-# A message or a chunk of less than 256 MiB; looking ahead finds those that overlap, too.
+# The start of a message or chunk of less than 256 MiB; the lookahead finds overlapping ones, too.
 _CANDIDATE = re.compile(rb"(?=[\x05\x06].{3}[\0-\x0f]\0{4})", re.DOTALL)
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _UNPARSED = (Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
@@ -69,8 +69,8 @@ class Part(NamedTuple):
     Attributes:
         at: Its first byte in the file.
         size: Its size in the file, bytes.
-        record: None for messages, indexes and unknown records.
-        content: The messages, schemas and channels that were read of it.
+        record: The parsed record; None for messages, indexes and unknown records.
+        content: The messages, schemas and channels that were read from it.
         is_checked: Whether a checksum covers them.
     """
 
@@ -81,7 +81,7 @@ class Part(NamedTuple):
     is_checked: bool = False
 
     def described(self) -> Iterator[McapRecord | None]:
-        """Yield the record, or those between messages, each once; None for a malformed one."""
+        """Yield the record, or the records between messages, each once; None for malformed ones."""
         if self.content is None:
             yield from [self.record] if self.record is not None else []
             return
@@ -94,7 +94,7 @@ class Part(NamedTuple):
 
 @dataclass
 class Damage:
-    """A part of a file that is lost: its first byte, its size in bytes, and what is wrong."""
+    """A lost part of a file: its first byte, its size in bytes, and the reason."""
 
     offset: int
     size: int
@@ -106,15 +106,15 @@ class Damage:
 
 
 class FileWalker:
-    """The parts of one file, in their order.
+    """The parts of one file, in file order.
 
-    Chunks may decompress to 1 GiB and 100 bytes for each byte of the file, and have 524,288 records
-    and one for each six bytes: else a file of some kilobytes can be hours of work.
+    All chunks may decompress to 1 GiB plus 100 bytes per byte of the file, and hold 524,288 records
+    plus one per six bytes. Without these limits, a file of some kilobytes could take hours.
 
-    `size` bytes are read, as the file may be growing. `is_trusted` lifts these limits.
+    Only `size` bytes are read, as the file may be growing. `is_trusted` lifts the limits on chunks.
 
     Attributes:
-        damage: The parts that are lost, as far as the file has been read.
+        damage: The lost parts of what has been read so far.
         summary: The summary at the end of the file, if a checksum covers it.
         has_end: Whether the file ends with a footer.
     """
@@ -127,12 +127,12 @@ class FileWalker:
         self._bytes_left = 2**64 if is_trusted else 2**30 + 100 * size
         self._records_left = 2**64 if is_trusted else 2**19 + size // 6
         self._vain_left = 64 * size + 2**30
-        # The end of what is walked through: zeros, the footer or a sound summary follow.
+        # The end of the part to read: zeros, the footer or a sound summary may follow.
         self._end = self._end_without_zeros()
-        # Times and size of the chunks that the summary states and that have not come yet.
+        # Times and sizes of the chunks that the summary states and that are not found yet.
         self._stated: Counter[tuple[int, int, int]] = Counter()
         self._seen: set[tuple[int, int, int, int]] = set()
-        # A file without chunks describes its channels before its messages.
+        # Channels described outside of chunks; a file without chunks has them before its messages.
         self._bare_channels: set[int] = set()
         self._has_chunks = False
         if (footer := find_footer(self._bytes(self._end - END_SIZE, END_SIZE))) is not None:
@@ -144,7 +144,7 @@ class FileWalker:
                     self._stated.update((s.start, s.end, s.size) for s in self.summary.spans)
 
     def parts(self, progress: Progress = lambda _: None) -> Iterator[Part]:
-        """Yield what is intact; `progress` is called with the number of bytes got through."""
+        """Yield the intact parts; `progress` gets the number of bytes read since its last call."""
         at = len(MAGIC) if self._bytes(0, len(MAGIC)) == MAGIC else 0
         progress(at)
         while at < self._end:
@@ -162,7 +162,7 @@ class FileWalker:
         progress(self._size - at)
 
     def _lose(self, at: int, reason: str, following: int | None = None) -> int:
-        """Take account of damage, and return what follows: by default, the next record."""
+        """Note damage, and return the offset behind it: by default, that of the next record."""
         following = self._search(at + 1) if following is None else following
         last = self.damage[-1] if self.damage else None
         if last and (last.offset + last.size == at or len(self.damage) >= _MAX_DAMAGES):
@@ -175,7 +175,7 @@ class FileWalker:
         """Return the part that begins at an offset.
 
         Raises:
-            RecordError: There is none, or one after which the next has to be searched for.
+            RecordError: No intact part begins there, and the next one has to be searched for.
         """
         head = self._bytes(at, CHUNK_HEAD_SIZE)
         if len(head) < RECORD.size:
@@ -189,15 +189,15 @@ class FileWalker:
             raise RecordError("not a record, or one that is cut off")
         if opcode == Opcode.MESSAGE and int.from_bytes(head[9:11], "little") in self._bare_channels:
             return self._read_run(part)
-        # Only the record that follows confirms the length of those that are not parsed. Metadata
-        # that has lost bytes may take them from the chunk that follows.
+        # Only the record behind it confirms the length of a record that is not parsed. A metadata
+        # record that has lost bytes may include the first bytes of the chunk behind it.
         is_parsed = opcode < 0x80 and opcode not in _UNPARSED and length <= _MAX_OTHER_SIZE
         record = parse_record(self._bytes(at, part.size)) if is_parsed else None
         if opcode == Opcode.MESSAGE or (
             (record is None or isinstance(record, Metadata)) and not self._starts_record(end)
         ):
             raise RecordError("not a record")
-        # Behind damage it may be one of a chunk whose head is lost, and whose checksum with it.
+        # Behind damage, it may be from a chunk that has lost its head and with it its checksum.
         if isinstance(record, Channel) and not (self._has_chunks or self.damage):
             self._bare_channels.add(record.id)
         return part._replace(record=record)
@@ -212,13 +212,13 @@ class FileWalker:
             if end > self._size:
                 raise RecordError("the file ends inside of a chunk")
             content = self._content(chunk)
-            # If a chunk without a checksum has lost bytes, this shows behind it.
+            # Without a checksum, lost bytes show only in what follows the chunk.
             if not (is_checked or self._starts_record(end)):
                 raise RecordError("the chunk has no checksum, and no record follows it")
         except RecordError as error:
             if end > self._end or not self._starts_record(end):
-                # A chunk that has lost bytes reaches into what follows it: search inside of it,
-                # unless so many do that the file was made to take the time for it.
+                # A chunk that has lost bytes reaches into the bytes behind it: search inside of it,
+                # within a budget, as a hostile file may consist of such chunks.
                 self._vain_left -= len(chunk.data) + chunk.uncompressed_size % MAX_SIZE
                 raise
             self._lose(at, str(error), end)
@@ -233,7 +233,7 @@ class FileWalker:
         return part._replace(content=content, is_checked=is_checked)
 
     def _own_head(self, head: bytes) -> tuple[Chunk, int, int]:
-        """Return what `chunk_head` does of a chunk of the file itself."""
+        """Return the result of `chunk_head` for a chunk that belongs to the file itself."""
         chunk, data_at, size = chunk_head(head)
         key = chunk.message_start_time, chunk.message_end_time, size
         if self.summary is not None and self._stated[key] <= 0:
@@ -241,13 +241,13 @@ class FileWalker:
         return chunk, data_at, size
 
     def _content(self, chunk: Chunk) -> Records:
-        """Return what a chunk holds."""
+        """Return the records of a chunk, within the limits."""
         self._bytes_left -= min(chunk.uncompressed_size, MAX_SIZE) if chunk.compression else 0
         if self._bytes_left >= 0:
             content = read_chunk(chunk)
             self._records_left -= len(content.rows)
             for count, description in enumerate(content.descriptions()):
-                # They take ten times as long as messages.
+                # A description takes ten times as long as a message.
                 is_known = description[0] in _IN_CHUNKS or description[0] >= 0x80
                 if not is_known or 10 * count > self._records_left:
                     raise RecordError("the chunk holds bytes that are no record, or too many")
@@ -263,7 +263,7 @@ class FileWalker:
         return content
 
     def _read_run(self, first: Part) -> Part:
-        """Return a message outside of chunks and those behind it."""
+        """Return a run of messages outside of chunks that begins with `first`."""
         block = self._bytes(first.at, max(first.size, _BLOCK_SIZE))[: self._end - first.at]
         ends = [0]
         while ends[-1] + MESSAGE.size <= len(block):
@@ -280,7 +280,7 @@ class FileWalker:
         return first._replace(size=ends[-1], content=split_records(block[: ends[-1]]))
 
     def _starts_record(self, at: int) -> bool:
-        """Whether there may be a record, even one that is cut off, or the end."""
+        """Whether a record, even one that is cut off, may start at `at`, or the file ends there."""
         head = self._bytes(at, CHUNK_HEAD_SIZE)
         if at >= self._end or len(head) < INDEX_HEAD.size:
             return True
@@ -299,7 +299,7 @@ class FileWalker:
         return bool(opcode == Opcode.ATTACHMENT or (opcode > 0 and length <= _MAX_OTHER_SIZE))
 
     def _search(self, at: int) -> int:
-        """Return where the next chunk, or message outside of chunks, is; else the end."""
+        """Return the offset of the next chunk, or message outside of chunks; else the end."""
         if self._vain_left < 0 or (self.summary is None and self._carries_files):
             return self._end
         for begin, block in self._blocks(at, RECORD.size - 1):
@@ -317,14 +317,14 @@ class FileWalker:
 
     @cached_property
     def _carries_files(self) -> bool:
-        """Whether there are the marks of other files in it, such as messages may carry."""
+        """Whether it has the magic bytes of other MCAP files, which messages may carry."""
         return any(MAGIC in block for _, block in self._blocks(1, len(MAGIC) - 1))
 
     def _blocks(self, at: int, overlap: int) -> Iterator[tuple[int, bytes]]:
-        """Yield parts of the file that get larger, without the holes of a sparse file."""
+        """Yield blocks of growing size and their offsets, without the holes of a sparse file."""
         step = 2**12
         while at < self._end:
-            with suppress(OSError):  # there may be nothing but a hole
+            with suppress(OSError):  # only a hole may be left
                 at = max(at, os.lseek(self._descriptor, at, os.SEEK_DATA))
             yield at, self._bytes(at, min(step + overlap, self._end - at))
             at, step = at + step, min(2 * step, _BLOCK_SIZE)
@@ -333,7 +333,7 @@ class FileWalker:
         return os.pread(self._descriptor, max(0, min(size, self._size - at)), max(0, at))
 
     def _end_without_zeros(self) -> int:
-        """Return where the zeros start with which the file ends: pages lost in a power cut."""
+        """Return where the zeros at the end of the file start: pages lost in a power cut."""
         descriptor, end = self._descriptor, 0
         with suppress(OSError):  # no data follows; a sparse file may end in a hole of any size
             while end < self._size:
@@ -348,11 +348,11 @@ class FileWalker:
 
 
 class DamagedFile:
-    """One file: what describes its topics, its messages, and an account of what is lost.
+    """One file: the descriptions of its topics, its messages, and an account of its losses.
 
     Args:
         path: The file.
-        of_bag: The topics of the bag by name, to which those of the file are added.
+        of_bag: The topics of the bag by name; those of the file are added to them.
 
     Attributes:
         name: The name of the file.
@@ -364,11 +364,11 @@ class DamagedFile:
         missing: The number of messages that the file states, but does not hold, by topic.
         damage: The parts that are lost.
         error: The reason why it was not read at all; empty if it was.
-        described: Its topics, those whose messages can be kept.
+        described: The descriptions of its topics; only messages of described topics can be kept.
         counts: The number of messages found, by channel.
         times: The smallest and the largest log time kept of each topic, ns since the epoch.
         profile: The profile in its header; None without one.
-        metadata: The metadata of the bag that it carries.
+        metadata: The metadata of the bag, if the file carries it.
     """
 
     def __init__(self, path: Path, of_bag: dict[str, TopicInfo]) -> None:
@@ -403,12 +403,12 @@ class DamagedFile:
         is_trusted: bool = False,
         described_by_summary: bool = True,
     ) -> Iterator[tuple[Part, Records | None]]:
-        """Yield what is intact and, of messages, which are kept; count them.
+        """Yield each intact part with the messages kept of it, if it has any, and count them.
 
         Args:
             progress: Called with the number of bytes that were read since the last call.
-            is_trusted: Whether to read chunks however much they decompress to.
-            described_by_summary: Whether messages may come before the description of their topic.
+            is_trusted: Whether to read chunks of any decompressed size.
+            described_by_summary: Whether the summary may describe topics before their messages.
         """
         counts = dict[int, int]()
         try:

@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Message definitions from the installed interface packages, as rosbag2 stores them in a bag.
 
-Every interface package installs `share/<package>/msg/<Type>.msg`, its text, or only `<Type>.idl`,
-and `<Type>.json`, which carries the RIHS01 hash of the type. No ROS import is needed. Messages of
-services and actions, such as `package/srv/<Type>_Event`, have the text of the `.srv` or `.action`
-file.
+Every interface package installs the text of a type as `share/<package>/msg/<Type>.msg`, or only as
+`<Type>.idl`, and its RIHS01 hash in `<Type>.json`. No ROS import is needed. A message of a service
+or an action, such as `package/srv/<Type>_Event`, has the text of the `.srv` or `.action` file.
 """
 
 import json
@@ -27,7 +26,7 @@ _FIELD_TYPE = re.compile(
     r"^[ \t]*([A-Za-z0-9_/]+)(?:\[[^\]]*\])?[ \t]+", flags=re.ASCII | re.MULTILINE
 )
 _IDL_INCLUDE = re.compile(r"^#include\s+[\"<]([A-Za-z0-9_/]+)\.idl[\">]", flags=re.MULTILINE)
-# Without wstring: rosbag2 stores a message with one in IDL.
+# wstring is left out: rosbag2 stores a message that has one in IDL.
 _PRIMITIVES = {"string", "bool", "byte", "char", "float32", "float64"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
@@ -37,7 +36,7 @@ _OF_SERVICE = re.compile(
 )
 
 _LINE = "\n" + _SEPARATOR + "\nMSG: "
-# What our bags need, for machines without ROS; without comments.
+# The definitions that our bags need, without comments, for machines without ROS.
 _KNOWN = {
     "std_msgs/msg/String": "string data\n",
     "std_msgs/msg/Int64MultiArray": _LINE.join(
@@ -59,11 +58,11 @@ _KNOWN = {
 
 
 class MessageDefinition(NamedTuple):
-    """What a bag stores about one message type.
+    """The definition of a message type, as a bag stores it.
 
     Attributes:
         type: Its full name, `package/msg/Type`.
-        text: The text of its file and of all it depends on.
+        text: The text of its file and of the files of all types it depends on.
         type_hash: Its RIHS01 hash; empty if the installation has none.
         encoding: The language of the text, `ros2msg` or `ros2idl`.
     """
@@ -75,21 +74,21 @@ class MessageDefinition(NamedTuple):
 
 
 def share_folders() -> tuple[Path, ...]:
-    """Return the folders interface packages are looked for in, first match first.
+    """Return the folders in which to search for interface packages, highest priority first.
 
-    The prefixes of a sourced workspace come before the interpreter's own, where the packages are
-    after an installation by pip, which sets no environment variable.
+    The prefixes of a sourced workspace come before the interpreter's own prefix, into which pip
+    installs the packages without setting an environment variable.
     """
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     return tuple(dict.fromkeys(Path(prefix, "share") for prefix in [*prefixes, sys.prefix]))
 
 
 def find_definition(msgtype: str, folders: Sequence[Path] | None = None) -> MessageDefinition:
-    """Return the definition of a message type, complete with all it depends on.
+    """Return the definition of a message type, complete with all dependencies.
 
-    The order is rosbag2's, so that the text is the same to the byte: the root's text verbatim,
-    then each dependency once, depth first, siblings in bytewise order. As there, it is in IDL where
-    the type or a dependency has no `.msg` file. Those of an observer's bags need no installation.
+    The text is byte for byte that of rosbag2: the root's text verbatim, then each dependency once,
+    depth first, siblings in bytewise order. Like rosbag2's, it is in IDL if the type or a
+    dependency has no `.msg` file. The types of an observer's bags need no installation.
 
     Args:
         msgtype: The type as `package/msg/Type` or `package/Type`, or a message of a service or an
@@ -124,7 +123,7 @@ def _parts(msgtype: str) -> tuple[str, str, str]:
 
 
 def _with_dependencies(msgtype: str, language: str, folders: Sequence[Path], seen: set[str]) -> str:
-    """Return a type's text followed by those of all it needs and that have not come yet."""
+    """Return a type's text, followed by those of its dependencies that are not in `seen`."""
     package, kind, _ = _parts(msgtype)
     try:
         # Bytes, not text mode: a definition with Windows line ends must stay as it is.

@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics of an observer, below its own name, and of a simulator.
 
-They are JointStates, but for `DESIGN` and `TICKS`.
+All are JointStates except `DESIGN` and `TICKS`.
 """
 
 DESIGN = "design"
-"""What it runs, a latched std_msgs/String: see `tsobs_ros.design.file.ObserverRecord`."""
+"""Designs and parameters, a latched std_msgs/String: see `tsobs_ros.design.file.ObserverRecord`."""
 
 TICKS = "ticks"
-"""Which measurements each tick includes: see `tsobs_ros.bag.cdr`."""
+"""The tick log, which lists the measurements of each tick: see `tsobs_ros.bag.cdr`."""
 
 STATES, STATE_BOUNDS = "joint_states", "error_bound"
 DISTURBANCE, DISTURBANCE_BOUND = "disturbance", "disturbance_bound"
@@ -27,19 +27,19 @@ TRUTH = (TRUE_STATES, TRUE_DISTURBANCE, TRUE_TORQUE)
 TOPICS = (STATES, STATE_BOUNDS, DISTURBANCE, DISTURBANCE_BOUND, INNOVATION, RESTARTS, HEALTH)
 """The JointStates that every observer publishes.
 
-All but the restarts are published for those who listen at the time. A message about a restart, its
-positions the number of restarts before it, stays there for those who come later: what follows it is
-that of an observer without a past.
+Of these, only the restarts are latched, for late subscribers. The positions of a message about a
+restart are the number of restarts before it. The estimates that follow such a message are those of
+an observer that has just started.
 """
 
 PARAMETER_TOPICS = (PARAMETERS, PARAMETER_BOUNDS)
-"""Published, too, if it learns parameters."""
+"""Also published if the observer learns parameters."""
 
 TORQUE_TOPICS = (TORQUE_DISTURBANCE, TORQUE_DISTURBANCE_BOUND)
-"""Published, too, if a design has a torque disturbance; `effort` of the sides."""
+"""Also published if a design has a torque disturbance, as `effort` of the sides."""
 
 SLOW_PERIOD = 100_000_000
-"""Parameters and health change slowly: they are published ten times a second [ns]."""
+"""Period of parameters and health [ns]: they change slowly, ten messages per second suffice."""
 
 
 def sides(joint: str) -> tuple[str, str]:

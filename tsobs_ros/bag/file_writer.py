@@ -1,8 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Writing one MCAP file: the same bytes as the library `mcap` writes, at a fraction of the time.
+"""A writer of one MCAP file: byte for byte like the library `mcap`, in a fraction of the time.
 
-Unlike the library's, this writer takes the records of whole chunks.
+Unlike the library's writer, it can also take the records of whole chunks.
 """
 
 import os
@@ -53,8 +53,8 @@ _NO_TIME = 2**63
 class FileWriter:
     """Writes one new file; every method may raise `OSError`.
 
-    A chunk is complete beyond the size [bytes], before compression. `ids` are the topics' channels.
-    It `is_finished` once it has its summary.
+    A chunk is complete once it exceeds `chunk_size` [bytes] before compression. `ids` has the
+    channels of the topics. `is_finished` is true once the file has its summary.
 
     Raises:
         ModuleNotFoundError: The library of the compression is not installed.
@@ -90,11 +90,11 @@ class FileWriter:
         return self._counts[self.ids.get(topic, 0)]
 
     def info(self) -> FileMetadata:
-        """Return what metadata.yaml states of the file as of now."""
+        """Return the file's entry for metadata.yaml, as of now."""
         return FileMetadata.of(self.path.name, self._start, self._end, self.message_count)
 
     def duration_with(self, log_time_ns: int) -> int:
-        """Return the file's duration, ns, if a message of this log time were in it too."""
+        """Return the file's duration [ns] with an additional message of this log time."""
         return max(self._end, log_time_ns) - min(self._start, log_time_ns)
 
     def add_topic(self, topic: TopicInfo) -> None:
@@ -136,7 +136,7 @@ class FileWriter:
     def add_chunk(self, content: Records) -> None:
         """Append messages as a chunk."""
         self._finish_chunk()
-        if self._records:  # what describes topics comes first
+        if self._records:  # descriptions of topics come first
             self._stream.write(b"".join(self._records))
             self._records, self._size = [], 0
         self._write_chunk(content)
@@ -160,11 +160,11 @@ class FileWriter:
         self._stream.flush()
 
     def sync(self) -> None:
-        """Force what has been flushed to the disk; may run in another thread."""
+        """Force all flushed data to the disk; may run in another thread."""
         os.fdatasync(self._stream.fileno())
 
     def finish(self) -> None:
-        """Write what is waiting, and the summary; nothing can be added any more."""
+        """Write the chunk in progress and the summary; nothing can be added afterwards."""
         self._finish_chunk()
         self._stream.write(_packed(DataEnd(0)))
         counts = Statistics(
@@ -203,7 +203,7 @@ class FileWriter:
     def close(self) -> None:
         """Force everything to the disk; the descriptor is released even if that fails."""
         if not self._stream.closed:
-            # Of a recording of many files only counts are kept.
+            # Only the counts stay in memory, as a recording may have many files.
             self._compress = bytes
             for held in (self._chunks, self._schemas, self._channels):
                 held.clear()
@@ -211,7 +211,7 @@ class FileWriter:
                 os.fsync(self._stream.fileno())
 
     def _finish_chunk(self) -> None:
-        # Without messages descriptions wait: the summary has them too.
+        # Descriptions wait until there are messages: the summary has them, too.
         if self._has_messages:
             self._write_chunk(split_records(b"".join(self._records)))
             self._records, self._size, self._has_messages = [], 0, False
@@ -244,7 +244,7 @@ class FileWriter:
 
 
 def pick(content: Records, ids: Mapping[int, int]) -> Records:
-    """Return the messages of the channels that are wanted, with the new channels in `ids`."""
+    """Return the messages of the channels that are keys of `ids`, with its values as channels."""
     new = np.full(2**16, -1)
     new[list(ids)] = list(ids.values())
     rows = content.rows[new[content.rows["channel"]] >= 0]

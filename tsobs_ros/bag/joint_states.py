@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""sensor_msgs/JointState to and from the bytes on the wire, without ROS.
+"""Encoder and decoder of sensor_msgs/JointState on the wire, without ROS.
 
 The messages of a topic nearly always have the same names and lengths: only the stamp and the
-numbers change. Encoder and decoder keep the rest as a template, so that a message costs about a
-microsecond, a tenth of what a ROS message object costs; and many at once cost less still.
+numbers change. Encoder and decoder keep the rest as a template, so that a message takes about a
+microsecond, a tenth of the time of a ROS message object. Many messages at once take even less.
 """
 
 import struct
@@ -25,22 +25,22 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 
 _SECONDS = 2**31
 _NO_VALUES = np.zeros((1, 0))
-# rclpy.serialize_message() reserves the alignment of empty arrays, and leaves what was there.
+# rclpy.serialize_message() also reserves padding for empty arrays, with arbitrary content.
 _LARGEST_TAIL = 16
 _MOST_TEMPLATES = 64
 _CONSTANT = HEADER + 8
-"""Where what comes after the stamp begins."""
+"""Offset of the first byte after the stamp."""
 
 Places = NDArray[np.intp]
-"""Which messages of a sequence, ascending."""
+"""Indices of messages in a sequence, ascending."""
 
 
 Wanted = Sequence[Sequence[tuple[str, str]]]
-"""Groups of places to read: name of an entry, and `position`, `velocity` or `effort`."""
+"""Groups of numbers to read: the entry's name, and `position`, `velocity` or `effort`."""
 
 
 class JointState(NamedTuple):
-    """One message: its stamp [ns since the epoch], and numbers of each joint, or none.
+    """One message: its stamp [ns since the epoch], and arrays with one number per joint, or none.
 
     Position is in rad or m, velocity in rad/s or m/s, effort in N m or N.
     """
@@ -56,8 +56,8 @@ class JointState(NamedTuple):
 class JointStates(NamedTuple):
     """Messages that have the same names and lengths, m of them.
 
-    `places` are their numbers among those that were decoded together, ascending. Position, velocity
-    and effort have the shape (m, joints), or (m, 0) where they were left empty.
+    `places` are their indices among the messages that were decoded together, ascending. Position,
+    velocity and effort have the shape (m, joints), or (m, 0) if they were left empty.
     """
 
     places: Places
@@ -69,9 +69,9 @@ class JointStates(NamedTuple):
 
 
 class _Template:
-    """What messages with the same names and lengths (of position, velocity, effort) share.
+    """The common part of messages with the same names and lengths of position, velocity, effort.
 
-    `constant` are the bytes between the stamp and the positions.
+    `constant` has the bytes between the stamp and the positions.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class _Template:
         begins, counts = [_CONSTANT + len(constant)], list[int]()
         for before, length in pairwise(lengths):
             counts.append(begins[-1] + 8 * before)
-            # Padding only before an array that is not empty.
+            # Only an array that is not empty has padding before it.
             padding = -(counts[-1] + 4 - HEADER) % 8 if length else 0
             begins.append(counts[-1] + 4 + padding)
         pads = [begin - count - 4 for begin, count in zip(begins[1:], counts, strict=True)]
@@ -94,19 +94,19 @@ class _Template:
             "formats": [f"V{HEADER}", "<i4", "<u4", f"V{len(constant)}", *doubles, "<u4", "<u4"],
             "offsets": [0, HEADER, HEADER + 4, _CONSTANT, *begins, *counts],
         }
-        # The places of the counts of velocities and efforts in the struct.
+        # Places of the counts of velocities and efforts among the fields of the struct.
         self._velocities = 4 + lengths[0]
         self._efforts = self._velocities + 1 + lengths[1]
 
     def pack(self, stamp: int, *numbers: Sequence[float]) -> bytes:
-        """Return the message with position, velocity and effort, as many as the lengths are."""
+        """Return the message with position, velocity and effort of the template's lengths."""
         position, velocity, effort = numbers
         _, velocities, efforts = self._lengths
         front = LITTLE, *divmod(stamp, NANOSECONDS), self._constant
         return self._struct.pack(*front, *position, velocities, *velocity, efforts, *effort)
 
     def unpack(self, data: bytes) -> JointState | None:
-        """Return the message if the bytes, of which there are enough, fit the template."""
+        """Return the message if the bytes, no fewer than the template's, match the template."""
         fields = self._struct.unpack_from(data)
         velocities, efforts = self._velocities, self._efforts
         counts = fields[velocities], fields[efforts]
@@ -122,7 +122,7 @@ class _Template:
         )
 
     def unpack_rows(self, places: Places, data: NDArray[np.uint8]) -> JointStates:
-        """Return those of the messages, a row each, that fit the template."""
+        """Return the messages that match the template; `data` has one message per row."""
         rows = self._rows(np.ascontiguousarray(data))
         fits = (rows["header"] == np.void(LITTLE)) & (rows["constant"] == np.void(self._constant))
         fits &= (rows["v"] == self._lengths[1]) & (rows["e"] == self._lengths[2])
@@ -135,7 +135,7 @@ class _Template:
         )
 
     def pack_rows(self, stamps: Stamps, *numbers: Array) -> NDArray[np.uint8]:
-        """Return many messages, a row each, of as many numbers as the lengths are."""
+        """Return messages, one per row, with numbers of the template's lengths."""
         blank = self.pack(0, *([0.0] * length for length in self._lengths))
         data = np.tile(np.frombuffer(blank, np.uint8), (len(stamps), 1))
         rows = self._rows(data)
@@ -205,7 +205,7 @@ class JointStateEncoder:
 
 
 class JointStateDecoder:
-    """Reads messages, most quickly such as it has read before."""
+    """Reads messages, most quickly those with names and lengths that it has read before."""
 
     def __init__(self) -> None:
         self._templates: dict[int, _Template] = {}
@@ -227,10 +227,10 @@ class JointStateDecoder:
         return message
 
     def decode_rows(self, places: Places, rows: NDArray[np.uint8]) -> list[JointStates]:
-        """Decode messages of one size, those of the same names and lengths together.
+        """Decode messages of one size, in groups of the same names and lengths.
 
-        Those that are none are left out. `rows` has the bytes of the messages at `places`, shape
-        (m, size).
+        Rows that are no JointState are left out. `rows` has the bytes of the messages at `places`,
+        shape (m, size).
         """
         found: list[JointStates] = []
         while len(places):
@@ -248,10 +248,10 @@ class JointStateDecoder:
     def read_places(
         self, count: int, groups: Iterable[tuple[Places, NDArray[np.uint8]]], wanted: Wanted
     ) -> tuple[Flags, Stamps, Array]:
-        """Read numbers of messages, with whether there are any, shape (count,), and the stamps.
+        """Return whether messages have wanted entries, their stamps, shape (count,), and numbers.
 
-        Groups are those of the same size, as of `decode_rows`. Of a message the last group that is
-        wanted is read of which it has any entry; what it lacks is NaN.
+        Each of `groups` has messages of one size, as for `decode_rows`. From a message, the last
+        group in `wanted` that shares an entry with it is read; numbers that it lacks are NaN.
         """
         named, stamps = np.zeros(count, np.bool_), np.zeros(count, np.int64)
         values = np.full((count, len(wanted[0])), np.nan)
@@ -269,7 +269,7 @@ def joint_names(messages: Iterable[bytes]) -> tuple[str, ...]:
     """Return the names in some messages, each once.
 
     Raises:
-        MessageError: Some are no JointStates, and the others have no names.
+        MessageError: Some messages are no JointStates, and the others have no names.
     """
     decode, names, problem = JointStateDecoder(), dict[str, None](), None
     for message in messages:
@@ -284,7 +284,7 @@ def joint_names(messages: Iterable[bytes]) -> tuple[str, ...]:
 
 def _constant(names: tuple[str, ...], positions: int) -> bytes:
     """Return the bytes between the stamp and the positions."""
-    body = bytearray()  # what is in front of it is a multiple of 8 long
+    body = bytearray()  # 8 bytes are in front of it, so alignment counts from here
     for item in ("", len(names), *names, positions):
         raw = item.encode() + b"\0" if isinstance(item, str) else b""
         count = len(raw) if isinstance(item, str) else item
@@ -293,7 +293,7 @@ def _constant(names: tuple[str, ...], positions: int) -> bytes:
 
 
 def _parse(data: bytes) -> tuple[JointState, _Template]:
-    """Read a message field by field; return it and what others like it have in common."""
+    """Read a message field by field; return it with the template of similar messages."""
     reader = CdrReader(data)
     stamp = reader.stamp("header.stamp")
     frame_id = reader.text("header.frame_id")

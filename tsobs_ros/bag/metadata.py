@@ -49,7 +49,7 @@ INFINITE = QosTime(9223372036, 854775807)
 
 
 class QosProfile(msgspec.Struct, frozen=True):
-    """One publisher's offer; the defaults are those that Fast DDS reports of a default publisher.
+    """One publisher's offer; the defaults are those that Fast DDS reports for a default publisher.
 
     Attributes:
         history: `keep_last`, `keep_all`; `unknown` if discovery does not report it.
@@ -63,7 +63,7 @@ class QosProfile(msgspec.Struct, frozen=True):
         avoid_ros_namespace_conventions: Whether the DDS topic is named without ROS prefixes.
 
     Raises:
-        ValueError: A policy has no such name.
+        ValueError: A policy has a name that is not known.
 
     >>> QosProfile(reliability="best_effort").durability
     'volatile'
@@ -80,14 +80,14 @@ class QosProfile(msgspec.Struct, frozen=True):
     avoid_ros_namespace_conventions: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what a rosbag2 reader would refuse."""
+        """Refuse names that a rosbag2 reader would refuse."""
         for policy, names in _POLICIES.items():
             if (name := getattr(self, policy)) not in names:
                 raise ValueError(f"{policy} is '{name}', but must be one of {', '.join(names)}")
 
 
 def profiles_to_yaml(profiles: Iterable[QosProfile]) -> str:
-    """Return the offers as the YAML list that is a channel's `offered_qos_profiles`."""
+    """Return the offers as the YAML list for a channel's `offered_qos_profiles`."""
     return msgspec.yaml.encode(list(profiles)).decode().rstrip("\n")
 
 
@@ -130,14 +130,14 @@ class TopicInfo:
 
 
 class Descriptions:
-    """What the schemas and channels of a file describe.
+    """The topics that the schemas and channels of a file describe.
 
     Attributes:
-        of_bag: The topics of the bag by name, to which those of the file are added.
-        schemas: The first description with each number.
-        channels: The first description with each number.
-        topics: The topics by channel, without QoS if that makes no sense.
-        problems: What is wrong with descriptions, by the number of a channel or otherwise.
+        of_bag: The topics of the bag by name; those of the file are added to them.
+        schemas: The first schema with each id.
+        channels: The first channel with each id.
+        topics: The topics by channel, without QoS if their QoS is malformed.
+        problems: Problems of descriptions, by the id of a channel or by another key.
     """
 
     def __init__(self, of_bag: dict[str, TopicInfo]) -> None:
@@ -151,13 +151,13 @@ class Descriptions:
         self._room, self._offers_room = _MAX_DESCRIPTIONS, MAX_BYTES
 
     def add_all(self, schemas: Mapping[int, Schema], channels: Mapping[int, Channel]) -> None:
-        """Take what a summary describes."""
+        """Add the descriptions of a summary."""
         each: list[Schema | Channel] = [*schemas.values(), *channels.values()]
         for record in each:
             self.add(record)
 
     def add(self, record: Schema | Channel) -> None:
-        """Take a description; if it differs from an earlier one, the topic may be lost."""
+        """Add a description; if it differs from an earlier one, the topic may be lost."""
         if isinstance(record, Schema):
             schema = self.schemas.get(record.id)
             if schema is None and self._has_room(len(record.data)):
@@ -201,14 +201,14 @@ class Descriptions:
     def _offered(self, channel: Channel) -> tuple[QosProfile, ...]:
         text = channel.metadata.get("offered_qos_profiles", "")
         if text not in self._offers:
-            self._offers_room -= len(text)  # parsing costs some microseconds a byte
+            self._offers_room -= len(text)  # parsing costs some microseconds per byte
             if self._offers_room < 0:
                 raise ValueError(f"the file's QoS profiles are larger than {MAX_BYTES} bytes")
             self._offers[text] = profiles_from_yaml(text)
         return self._offers[text]
 
     def _contradict(self, what: str, id_: int, channels: Iterable[int]) -> None:
-        """Note that descriptions differ, and give up channels that are of another file."""
+        """Note that descriptions differ, and drop channels that may be those of another file."""
         text = self.problems[f"{what} {id_}"] = f"two descriptions of {what} {id_} differ"
         for each in channels:
             self.topics.pop(each, None)
@@ -228,7 +228,7 @@ class _Time(msgspec.Struct, frozen=True):
 
 
 class FileMetadata(msgspec.Struct, frozen=True):
-    """One file of a bag: its name in the folder, its first log time and what follows [ns]."""
+    """One file of a bag: its name in the folder, first log time and duration [ns], messages."""
 
     path: str
     starting_time: _Time = _Time()
@@ -237,7 +237,7 @@ class FileMetadata(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, path: str, start: int, end: int, count: int) -> "FileMetadata":
-        """Return that of a file with messages from and to a log time [ns]."""
+        """Return the entry of a file with `count` messages of log times `start` to `end` [ns]."""
         return cls(path, _Time(start), _Duration(end - start), count) if count else cls(path)
 
 
@@ -277,7 +277,7 @@ class BagMetadata(msgspec.Struct, frozen=True):
         files: Sequence[FileMetadata],
         custom_data: Mapping[str, str] | None = None,
     ) -> "BagMetadata":
-        """Return that of a bag with these topics and files, both in order of recording."""
+        """Return the metadata of a bag from its topics and files, both in order of recording."""
         filled = [file for file in files if file.message_count]
         starts = [file.starting_time.nanoseconds_since_epoch for file in filled]
         ends = [at + file.duration.nanoseconds for at, file in zip(starts, filled, strict=True)]
@@ -296,7 +296,7 @@ class BagMetadata(msgspec.Struct, frozen=True):
             _Time(start),
             sum(file.message_count for file in filled),
             tuple(known),
-            "",  # also with compressed chunks: those are MCAP's
+            "",  # also if chunks are compressed: that is MCAP's own compression
             "",
             tuple(file.path for file in files),
             tuple(files),
@@ -306,13 +306,13 @@ class BagMetadata(msgspec.Struct, frozen=True):
 
     @classmethod
     def from_map(cls, information: object) -> "BagMetadata":
-        """Return the metadata that the content of the root key states."""
+        """Return the metadata from the content of the root key."""
         version = information.get("version") if isinstance(information, dict) else None
         if not isinstance(information, dict) or version != VERSION:
             raise ValueError(f"version is {version}, only {VERSION} is supported")
         notes = information.get("custom_data")
         if isinstance(notes, dict):
-            # rosbag2 writes texts without quotes, so that YAML may take them for numbers.
+            # rosbag2 writes texts without quotes, so YAML may parse them as numbers.
             notes = {str(key): str(value) for key, value in notes.items()}
         found = msgspec.convert(information | {"custom_data": notes}, cls)
         listed = [file.path for file in found.files]
@@ -322,7 +322,7 @@ class BagMetadata(msgspec.Struct, frozen=True):
 
 
 def write_metadata(folder: Path, metadata: BagMetadata) -> None:
-    """Replace a bag folder's metadata.yaml in one step that a power cut cannot halve.
+    """Replace a bag folder's metadata.yaml in one step, which a power cut cannot leave half done.
 
     Raises:
         BagWriteError: The file cannot be written.
@@ -351,16 +351,16 @@ def read_metadata(folder: Path) -> BagMetadata:
 
 
 class BagFiles:
-    """The files of a bag in order of recording, and what names them.
+    """The files of a bag in order of recording, and the metadata that lists them.
 
     Args:
         bag: A bag folder, with or without metadata.yaml, or one MCAP file.
 
     Attributes:
-        listed: Those that metadata.yaml names, whether they are there or not; or the one file.
+        listed: The files that metadata.yaml names, whether they exist or not; or the one file.
         others: The other files in the folder.
         metadata: The content of metadata.yaml; None without it.
-        problem: What is wrong with it.
+        problem: What is wrong with metadata.yaml, if anything.
 
     Raises:
         BagReadError: There is no such folder or file.
@@ -375,22 +375,22 @@ class BagFiles:
         if not bag.is_dir():
             return
         with naming_path(bag, BagReadError):
-            # Not glob, which takes a folder that cannot be read for an empty one.
+            # Not glob, which treats a folder that cannot be read as empty.
             present = sorted(bag.iterdir(), key=_by_number)
         try:
             self.metadata = read_metadata(bag)
         except BagReadError as error:
             self.problem = str(error)
-        # Nothing outside of the folder is opened: readers, too, take the last part of a path.
+        # No file outside of the folder is opened: readers, too, use only the last part of a path.
         files = self.metadata.files if self.metadata else ()
         self.listed = list(dict.fromkeys(bag / Path(file.path).name for file in files))
         self.others = [path for path in present if path not in self.listed]
 
     def to_recover(self) -> list[Path]:
-        """Return those that may hold messages.
+        """Return the files that may hold messages.
 
         Raises:
-            BagReadError: There are none.
+            BagReadError: There are no such files.
         """
         if files := [*self.listed, *(path for path in self.others if path.suffix == ".mcap")]:
             return files

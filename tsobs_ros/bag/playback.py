@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag being played: the schedule, without a clock, and the messages, read ahead in a thread.
+"""Playback of a bag: a schedule that reads no clock, and messages that a thread reads ahead.
 
-Bag time is the log time of messages, steady time that of a clock which is never set; both in ns.
-Every deadline is computed from the last change of pace, so that no error adds up, and everything
-due is returned in the order of its deadlines, however late the caller comes.
+Bag time is the log time of messages; steady time is that of a clock that is never set. Both are in
+ns. Every deadline is computed from the last change of pace, so that errors do not add up. Events
+are returned in the order of their deadlines, however late the caller asks for them.
 """
 
 from collections.abc import Collection, Generator, Iterator, Mapping
@@ -16,16 +16,16 @@ from typing import NamedTuple
 from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.bag.timeline import NEVER, Ticks, Timeline
 
-# A player that was held up for longer continues from there instead of catching up in one burst.
+# A player that is late by more continues from there instead of catching up in one burst.
 MAX_LAG = 1_000_000_000
-# A loop over a single message would otherwise publish it without end.
+# The shortest pass: a loop over a single message would otherwise publish it nonstop.
 MIN_PASS = 10_000_000
 # The memory of a message beyond its data [bytes].
 _OVERHEAD = 300
 
 
 class Event(NamedTuple):
-    """A message, or None for a stamp of the clock; steady and bag time at which it was due [ns]."""
+    """A message, or None for a clock stamp; the steady and bag time at which it was due [ns]."""
 
     due: int
     time: int
@@ -35,9 +35,9 @@ class Event(NamedTuple):
 class Playback:
     """Returns the messages of a bag, and the clock's stamps, when they are due.
 
-    It is paused at first, as reading the first message may take a while. The clock and what is
-    latched at the start are due at once. `take` and `position` may block, and raise what reading a
-    bag raises.
+    It is paused at first, as reading the first message may take a while. The first clock stamp and
+    the latched messages from before the start are due at once. `take` and `position` may block, and
+    may raise the errors of reading a bag.
 
     Args:
         start: Bag time at which each pass starts [ns].
@@ -47,7 +47,7 @@ class Playback:
     Attributes:
         loop: Whether to start again at the end; may be changed at any time.
         ended: Whether the end was reached without a loop.
-        held_back: Total delay of the end, as the caller came later than `MAX_LAG` [ns].
+        held_back: Total delay of the end [ns] because the caller came later than `MAX_LAG`.
     """
 
     def __init__(
@@ -77,16 +77,16 @@ class Playback:
         return self._timeline.paused
 
     def position(self, now: int) -> int:
-        """Return the bag time [ns]; it does not pass a message that has not been taken."""
+        """Return the bag time [ns]; it never passes a message that has not been taken."""
         return min(self._timeline.at(now), self._next_time())
 
     def pause(self, now: int) -> None:
-        """Let bag time stand still."""
+        """Stop bag time."""
         self._timeline.anchor(self.position(now), now)
         self._timeline.paused = True
 
     def resume(self, now: int) -> None:
-        """Let bag time run, from where it is; what fell due in the pause is due now."""
+        """Let bag time run on from where it is; events that fell due in the pause are due now."""
         if self.paused:
             self._began = max(self._began, now)
             if self._ticks.due < now:
@@ -99,7 +99,7 @@ class Playback:
         self._timeline.anchor(self.position(now), now, rate)
 
     def take(self, now: int) -> Event | None:
-        """Return the next event if it is due, and go on to the one after."""
+        """Return the next event and move on to the one after; None if it is not due yet."""
         due = min(self._ticks.due, self._message_due())
         if due > now:
             return None
@@ -123,7 +123,7 @@ class Playback:
         return self.take(now)
 
     def wait(self, now: int) -> int:
-        """Return the time until the next event is due [ns]; `NEVER` may be far away."""
+        """Return the time until the next event is due [ns]; it is huge if no event follows."""
         return max(0, min(self._ticks.due, self._message_due()) - now)
 
     def _peek(self) -> BagMessage | None:
@@ -161,10 +161,10 @@ def read_passes(
     end: int,
     read_ahead: int,
 ) -> Generator[BagMessage | None]:
-    """Read passes through a part of a bag, without end; a thread reads ahead, a batch at a time.
+    """Read endless passes through a part of a bag; a thread reads ahead, a batch at a time.
 
-    A pass begins with so many messages of each latched topic from before its start, and ends with
-    those at its end [ns] and None. A single message may be larger than what is read ahead [bytes].
+    A pass has the last messages of each latched topic before `start` [ns], as many as `latched`
+    states, then those up to `end` [ns], and None. One message may exceed `read_ahead` [bytes].
 
     Raises:
         BagReadError: The bag is damaged there.
@@ -190,7 +190,7 @@ def read_passes(
 def _batches(
     messages: Iterator[BagMessage | None], max_size: int
 ) -> Iterator[list[BagMessage | None]]:
-    """Yield messages in batches of a size [bytes], each of one pass."""
+    """Yield messages in batches of about `max_size` [bytes], each from one pass."""
     batch: list[BagMessage | None] = []
     size = 0
     try:
@@ -201,5 +201,5 @@ def _batches(
                 yield batch
                 batch, size = [], 0
     except Exception:
-        yield batch  # what is before the error is played
+        yield batch  # messages before the error are still played
         raise

@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading bags: a folder with its metadata.yaml, or a single MCAP file.
+"""A reader of bags: a folder with its metadata.yaml, or a single MCAP file.
 
-A message is its place in the records of a chunk until its bytes are wanted, so that topics of
-millions of messages can be read as arrays.
+Until its bytes are needed, a message is only its position in the records of a chunk, so that topics
+of millions of messages can be read as arrays.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -44,13 +44,13 @@ from tsobs_ros.yaml_files import MAX_BYTES
 Read = TypeVar("Read")
 
 UNCHECKED = "messages have no checksum: damage in them is not noticed"
-"""What follows if any message read is unchecked."""
+"""The remark if any of the messages read is unchecked."""
 
 _MAX_HELD = 2**29
-"""The largest size of messages that wait for later chunks, or are the last of a topic, bytes."""
+"""Largest total size of messages that wait for later chunks, or are the last of topics [bytes]."""
 
 _OBJECT_SIZE = 400
-"""What a message takes beside its data, bytes."""
+"""Memory of a message beyond its data [bytes]."""
 
 _MAX_LATCHED = 1_000
 _LAST = 2**63 - 1
@@ -79,7 +79,7 @@ class DecodedMessage(NamedTuple):
 class RawMessages(NamedTuple):
     """A topic's messages as bytes in the order of recording, n of them; times in ns, shape (n,).
 
-    `groups` are those of the same size: their places and their bytes, shapes (k,) and (k, size).
+    Each of `groups` has messages of one size: their places, shape (k,), and bytes, shape (k, size).
     """
 
     log_times: Stamps
@@ -94,7 +94,7 @@ class BagReader:
         path: A bag folder, or one MCAP file.
 
     Attributes:
-        path: The same, as a path.
+        path: The path of the bag.
         files: The MCAP files, in order of recording.
         summaries: The summary of each file.
         topics: The topics by name, in order of registration.
@@ -104,8 +104,8 @@ class BagReader:
         unchecked: The number of messages read so far that no checksum covers.
 
     Raises:
-        BagReadError: There is no bag, it is not of ROS 2, was not finished, or has messages in
-            another encoding than CDR.
+        BagReadError: There is no bag; or it is not of ROS 2, was not finished, or has messages in
+            an encoding other than CDR.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -145,12 +145,12 @@ class BagReader:
     ) -> Iterator[BagMessage]:
         """Yield the messages in order of log time; equal ones in order of recording.
 
-        In memory are the chunks that overlap in time, usually one.
+        Only chunks that overlap in time are in memory together, usually one.
 
         Args:
-            topics: Only those of these topics; of all by default.
-            start_ns: Only those at or after this log time, ns since the epoch.
-            end_ns: Only those before this log time, ns since the epoch.
+            topics: Only messages of these topics; of all topics by default.
+            start_ns: Only messages at or after this log time, ns since the epoch.
+            end_ns: Only messages before this log time, ns since the epoch.
         """
         names = list(self.topics if topics is None else topics)
         self.require(names)
@@ -160,11 +160,11 @@ class BagReader:
     def rows(
         self, topics: Sequence[str], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[tuple[Rows, dict[int, bytes]]]:
-        """Yield the messages of some topics as `messages` does, as rows.
+        """Yield the messages of some topics as rows, in the order of `messages`.
 
-        The channels of rows are the places of their topics in the names that are given. With them
-        come the records that they are in, by their keys. A chunk is read when the first of its
-        messages may be due.
+        The channel of a row is the place of its topic in `topics`. With the rows come the records
+        that contain them, by their keys. A chunk is read when the first of its messages may be
+        due.
         """
         self.require(topics)
         start, end = start_ns or 0, _LAST if end_ns is None else end_ns
@@ -173,7 +173,7 @@ class BagReader:
         spans = [span for span in spans if not names.isdisjoint(self.topics_of(span))]
         spans.sort(key=attrgetter("start", "rank", "offset"))
         numbers = self._numbers(topics)
-        # Messages that are due after the start of the next span, in a heap by the first of them.
+        # A heap of the messages due after the start of the next span, by the first of each span.
         waiting: list[tuple[int, int, Rows]] = []
         records: dict[int, bytes] = {}
         sizes: dict[int, int] = {}
@@ -210,7 +210,7 @@ class BagReader:
     def _load(
         self, span: Span, numbers: Sequence[NDArray[np.int64]], start: int, end: int
     ) -> tuple[Rows, bytes]:
-        """Return the messages of a span that are wanted, in order of log time, and its records."""
+        """Return the wanted messages of a span, in order of log time, and its records."""
         (data, rows), chunk = self.read(span)
         rows["channel"] = numbers[span.rank].take(rows["channel"], mode="clip")
         times = rows["log_time"]
@@ -219,7 +219,7 @@ class BagReader:
         return rows[np.argsort(rows["log_time"], kind="stable")], data
 
     def _numbers(self, topics: Sequence[str]) -> list[NDArray[np.int64]]:
-        """Return the place of each channel's topic, by file; -1 of others, at the end of all."""
+        """Return, by file, each channel's place in `topics`, else -1; one more -1 is at the end."""
         place, found = {name: number for number, name in enumerate(topics)}, []
         for channels in (summary.channels for summary in self.summaries):
             found.append(np.full(max(channels, default=0) + 2, -1))
@@ -237,7 +237,7 @@ class BagReader:
             yield new(BagMessage, (*named[topic], data, log_time, publish_time))
 
     def read(self, span: Span) -> tuple[Records, Chunk]:
-        """Return what a chunk holds, and the chunk."""
+        """Return the records of a chunk, and the chunk."""
         path, known = self.files[span.rank], self.summaries[span.rank].channels
         try:
             if span.size > MAX_SIZE:
@@ -267,9 +267,9 @@ class BagReader:
         """Return the last messages before a time, such as those of latched topics.
 
         Args:
-            time_ns: They are before this log time, ns since the epoch.
-            topics: Of these topics; of all by default.
-            depth: How many of each topic at most; a thousand if it is more.
+            time_ns: Only messages before this log time, ns since the epoch.
+            topics: Only messages of these topics; of all topics by default.
+            depth: Largest number of messages per topic; a thousand if it is more.
 
         Returns:
             The messages in order of log time.
@@ -302,7 +302,7 @@ class BagReader:
     ) -> Iterator[DecodedMessage]:
         """Return the messages as `messages` does, decoded by the definitions in the bag."""
         names = self.topics if topics is None else topics
-        # Before the first message, so that a caller can distinguish this from damage.
+        # Made before the first message, so that a caller can distinguish their errors from damage.
         decoders = {name: self.decoder(name) for name in names}
         messages = self.messages(topics, start_ns, end_ns)
         return (self._decoded(message, decoders[message.topic]) for message in messages)
@@ -311,12 +311,12 @@ class BagReader:
         topic, type_, data, log_time, publish_time = message
         try:
             return DecodedMessage(topic, type_, decode(data), log_time, publish_time)
-        except Exception as error:  # the decoder's errors on wrong bytes are of any kind
+        except Exception as error:  # a decoder may raise any error on wrong bytes
             text = f"the message of {topic} at {log_time} ns is not a {type_}: {error}"
             raise self._error(text) from error
 
     def decoder(self, name: str) -> Callable[[bytes], Any]:
-        """Return what decodes the messages of a topic; it may raise any error."""
+        """Return a function that decodes the messages of a topic; it may raise any error."""
         # Imported here: copying or playing a bag needs no decoder.
         try:
             from mcap_ros2.decoder import DecoderFactory
@@ -329,11 +329,11 @@ class BagReader:
         if len(text) > MAX_BYTES:
             raise self._error(f"the definition of {type_} is too large")
         try:
-            # The parser also prints what it raises, and with it the hostile text of a bag.
+            # The parser also prints its errors, and with them text of a bag that may be hostile.
             with redirect_stderr(StringIO()):
                 schema = Schema(id=1, name=type_, encoding=encoding, data=text.encode())
                 decoder = DecoderFactory().decoder_for("cdr", schema)
-        except Exception as error:  # a parser's errors on a wrong definition are of any kind
+        except Exception as error:  # a parser may raise any error on a wrong definition
             raise self._error(f"the definition of {type_} is malformed: {error}") from error
         if decoder is None:
             text = f"{type_} is defined in '{encoding}', but only ros2msg can be decoded"
@@ -347,9 +347,9 @@ class BagReader:
         *,
         on_damage: Callable[[BagReadError], None] | None = None,
     ) -> Iterator[dict[str, RawMessages]]:
-        """Yield some topics in blocks of at least `size` messages, or in one block.
+        """Yield the messages of some topics in blocks of at least `size`, or in one block.
 
-        `on_damage` is called with damage to the bag, up to which all is returned.
+        If the bag is damaged, `on_damage` is called; all messages before the damage are yielded.
         """
         names, found, records = list(topics), [np.zeros(0, ROW)], dict[int, bytes]()
 
@@ -367,7 +367,7 @@ class BagReader:
         yield block()
 
     def require(self, topics: Collection[str], type_: str = "") -> None:
-        """Raise `BagReadError` unless the bag has all of some topics, and of this type if given."""
+        """Raise `BagReadError` unless the bag has all topics, of type `type_` if that is given."""
         if unknown := sorted(set(topics) - set(self.topics)):
             has = ", ".join(self.topics) or "none"
             raise self._error(f"no topic {', '.join(unknown)}; topics: {has}")
@@ -387,7 +387,7 @@ class BagReader:
         return {channels[id_].topic for id_ in ids}
 
     def _add_topics(self, summary: Summary) -> None:
-        """Take the topics of a file; raise a ValueError if they are not those of a bag."""
+        """Add the topics of a file; raise a ValueError if they cannot be those of a bag."""
         statistics = summary.statistics
         if summary.profile != "ros2":
             profile = f"its profile is '{summary.profile}', expected 'ros2'"
@@ -410,7 +410,7 @@ class BagReader:
 def until_damage(
     messages: Iterable[Read], on_damage: Callable[[BagReadError], None] | None
 ) -> Iterator[Read]:
-    """Yield messages up to damage to the bag, and call with that."""
+    """Yield messages up to any damage to the bag; then call `on_damage` with the error."""
     try:
         yield from messages
     except BagReadError as error:

@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag being recorded: synced to the disk, with the latched messages in every file.
+"""A bag being recorded: it is synced to the disk, and has the latched messages in every file.
 
-A map or a transform is published once and meant for all who come later. A file that starts an hour
-into a recording makes sense only with it.
+A map or a transform is published once, also for all later subscribers. A file that starts an hour
+into a recording makes sense only with such messages.
 """
 
 from collections import Counter
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.errors import BagWriteError
 
-# Of one topic, whose latched messages are kept: each start of a node leaves one behind.
+# Per topic, for latched messages: each start of a node leaves a further publisher behind.
 _MAX_PUBLISHERS = 64
 
 
@@ -23,7 +23,7 @@ class Received(NamedTuple):
     """A message as it arrived; times in ns since the epoch.
 
     Attributes:
-        number: Its publisher's count of its messages; None if the middleware gives none.
+        number: Its number in the publisher's own count; None if the middleware gives none.
         latched: The number of latched publishers the topic has had so far; 0 if it is not latched.
     """
 
@@ -36,11 +36,11 @@ class Received(NamedTuple):
 
 
 class Recording(BagWriter):
-    """Writes and counts messages as they arrive; another thread syncs the disk now and then.
+    """Writes and counts messages as they arrive; another thread syncs the disk periodically.
 
     Attributes:
         counts: The messages recorded, by topic.
-        bytes: The bytes of these messages.
+        bytes: The total size of these messages.
         discarded: The number of messages left out in pauses, which the caller counts.
 
     Raises:
@@ -54,7 +54,7 @@ class Recording(BagWriter):
         self._latched = LatchedMessages()
         self._sync_failure: BagWriteError | None = None
         self._stopping = Event()
-        # A disk may take seconds over it.
+        # A sync of the disk may take seconds, hence the thread.
         self._syncing = Thread(target=self._sync_often, args=(sync_period,), daemon=True)
         self._syncing.start()
 
@@ -67,9 +67,9 @@ class Recording(BagWriter):
                 return
 
     def record(self, message: Received) -> None:
-        """Write a message of a registered topic; in front of the first one of a file the latched.
+        """Write a message of a registered topic, at the start of a file after the latched messages.
 
-        Those are repeated in every file but the first, with the log time of its start.
+        Every file but the first repeats the latched messages, with the log time of its start.
         """
         if message.latched:
             self._latched.keep(message)
@@ -95,18 +95,18 @@ class Recording(BagWriter):
 
 
 class LatchedMessages:
-    """Keeps the last message of each latched publisher, without knowing whose each one is.
+    """Keeps the last message of each latched publisher, without knowing which one sent which.
 
-    Message n of a publisher takes the place of its message n - 1. If several publishers have sent
-    that one, none is dropped before as many have sent message n: an outdated message too many is
-    kept rather than one too few.
+    Message n of a publisher replaces its message n - 1. If several publishers have sent a message
+    n - 1, these are dropped only once as many publishers have sent a message n: it is better to
+    keep an outdated message than to drop a current one.
     """
 
     def __init__(self) -> None:
         self._topics: dict[str, list[Received]] = {}
 
     def keep(self, message: Received) -> None:
-        """Keep a message, and drop what it replaces."""
+        """Keep a message, and drop those that it replaces."""
         number, kept = message.number, self._topics.setdefault(message.topic, [])
         kept.append(message)
         surplus = len(kept) - min(message.latched, _MAX_PUBLISHERS)
@@ -121,7 +121,7 @@ class LatchedMessages:
         del kept[: max(0, len(kept) - _MAX_PUBLISHERS)]
 
     def before(self, log_time_ns: int) -> list[Received]:
-        """Return what was logged before a time [ns], by publication."""
+        """Return the kept messages logged before a time [ns], in order of publication."""
         kept = (message for each in self._topics.values() for message in each)
         found = [message for message in kept if message.log_time_ns < log_time_ns]
         return sorted(found, key=attrgetter("publish_time_ns"))

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Recovery of a damaged bag: a whole bag of what its files still hold, and an account of it."""
+"""Recovery of a damaged bag: a whole bag of the messages that are left, and an account of it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _ACCOUNT = ("name", "bytes_read", "finished", "kept", "unchecked", "dropped", "m
 
 @dataclass(frozen=True)
 class Recovery:
-    """The account of a recovery: the damaged bag, the one made of it, its files, and remarks."""
+    """The account of a recovery: the damaged bag, the new bag, the damaged files, and remarks."""
 
     source: Path
     output: Path
@@ -42,7 +42,7 @@ class Recovery:
         return not self.unchecked and all(file.is_whole for file in self.files)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain data."""
+        """Return the account as plain data."""
         return {
             "source": str(self.source),
             "output": str(self.output),
@@ -58,7 +58,7 @@ class Recovery:
         }
 
     def text(self) -> str:
-        """Return the same for people to read."""
+        """Return the account as text for people."""
         lines = [*self.remarks, *(line for file in self.files for line in _lines(file))]
         if not all(file.is_whole for file in self.files):
             verdict = "NOT EVERYTHING, see above"
@@ -71,7 +71,7 @@ class Recovery:
 
 
 def _lines(file: DamagedFile) -> list[str]:
-    """Return lines for people."""
+    """Return the lines on a file, for people."""
     if file.error:
         return [f"{file.name}: not read: {file.error}"]
     state = "finished" if file.finished else "without what its recorder had not flushed"
@@ -99,15 +99,15 @@ def recover(
     is_trusted: bool = False,
     progress: Progress = lambda _: None,
 ) -> Recovery:
-    """Make a whole bag of what a damaged one still holds; the damaged one is only read.
+    """Make a whole bag of the messages left in a damaged one; the damaged bag is only read.
 
-    Every message is kept as it was recorded, in the order of recording. The new bag has a file for
-    each file that messages were found in. Memory is bounded by the largest chunk.
+    Every message is kept as it was recorded, in the order of recording. The new bag has one file
+    per file with messages. Memory is bounded by the largest chunk.
 
     Args:
         output: The folder to make, which must not exist.
-        compression: Of the new bag's chunks: `none`, `lz4` or `zstd`.
-        is_trusted: Whether to read chunks however much they decompress to.
+        compression: Compression of the new bag's chunks: `none`, `lz4` or `zstd`.
+        is_trusted: Whether to read chunks of any decompressed size.
         progress: Called with the number of bytes that were read since the last call.
 
     Raises:
@@ -147,7 +147,7 @@ def recover(
                 writer.add_topics(topics.values())
                 added = len(topics)
             writer.copy(kept, {id_: one.name for id_, one in file.described.topics.items()})
-        writer.add_topics(topics.values())  # those without messages, too
+        writer.add_topics(topics.values())  # topics without messages, too
     return Recovery(source, target, tuple(files), tuple(_remarks(there, files)))
 
 

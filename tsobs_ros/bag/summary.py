@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Summaries of bags: files, times and topics, also of bags that are not finished or damaged."""
+"""Summaries of bags: files, times and topics, also of unfinished or damaged bags."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -23,13 +23,13 @@ from tsobs_ros.errors import BagReadError, printable
 class BagSummary(dict[str, Any]):
     """The summary of a bag, as plain data.
 
-    The problem is the reason for which it was read message by message, empty for a finished bag.
-    `size` is in bytes, log times are in ns since the epoch, the mean rates of topics in Hz. Unknown
+    `problem` is the reason why the bag was read message by message, empty for a finished bag.
+    `size` is in bytes, log times are in ns since the epoch, mean rates of topics are in Hz. Unknown
     values, such as the times of a bag without messages, are None.
     """
 
     def text(self) -> str:
-        """Return text in the manner of `ros2 bag info`."""
+        """Return text in the style of `ros2 bag info`."""
         lines = [f"NOT FINISHED: {self['problem']}"] if self["problem"] else []
         for place, file in enumerate(self["files"]):
             what = f"{file['name']} ({file['size'] / 2**20:.1f} MiB, {file['messages']} messages)"
@@ -53,10 +53,10 @@ class BagSummary(dict[str, Any]):
 
 
 def summarise(bag: str | Path) -> BagSummary:
-    """Return the summary of a bag; one that is not finished or is damaged is read through.
+    """Return the summary of a bag; an unfinished or damaged bag is read completely.
 
     Raises:
-        BagReadError: There is no bag of ROS 2, or nothing can be read of it.
+        BagReadError: There is no bag of ROS 2, or nothing in it can be read.
     """
     path, problem = Path(bag), ""
     try:
@@ -125,7 +125,7 @@ def _durations(reader: BagReader) -> dict[str, int]:
 
 
 def _topic(topic: TopicInfo, duration: int) -> dict[str, Any]:
-    """Return what there is of a topic, whose messages take a time [ns]."""
+    """Return the entry of a topic, whose messages span `duration` [ns]."""
     is_periodic = topic.count > 1 and duration > 0
     return {
         "name": topic.name,

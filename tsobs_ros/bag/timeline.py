@@ -1,13 +1,13 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Time that is paced, paused and held back: of a bag being played, and of a simulated plant."""
+"""Time that can be paced, paused and held back, for playing a bag and for simulating a plant."""
 
 NEVER = 2**62
-"""The deadline of what does not come [ns]."""
+"""The deadline of an event that does not come [ns]."""
 
 
 class Timeline:
-    """Bag time as a function of steady time: a line through an anchor, or a halt, in ns."""
+    """Bag time as a function of steady time, in ns: a line through an anchor, or a halt."""
 
     def __init__(self, time: int, rate: float = 1.0) -> None:
         self.paused = True
@@ -29,21 +29,21 @@ class Timeline:
         return self._steady - (self._time - time) * denominator // numerator
 
     def anchor(self, time: int, steady: int, rate: float | None = None) -> None:
-        """Be at a bag time at a steady time, and change the rate from there on if one is given."""
+        """Set the bag time at a steady time, and the rate from there on if one is given."""
         self._time, self._steady = time, steady
         if rate is not None:
             self._rate = rate.as_integer_ratio()
 
     def shift(self, amount: int) -> None:
-        """Let everything be later by an amount of steady time [ns]."""
+        """Delay everything by an amount of steady time [ns]."""
         self._steady += amount
 
 
 class Ticks:
-    """The deadlines k/rate after a start, each rounded to a nanosecond by itself.
+    """The deadlines k/rate after a start, each rounded down to a nanosecond on its own.
 
     Attributes:
-        due: The next one, in steady time [ns]; NEVER at a rate of 0.
+        due: The next deadline, in steady time [ns]; NEVER at a rate of 0.
     """
 
     def __init__(self, rate: float) -> None:
@@ -51,7 +51,7 @@ class Ticks:
         self.due = NEVER
 
     def start(self, steady: int) -> None:
-        """Be due now, and from now on at the rate."""
+        """Make a deadline due now, and further ones at the rate."""
         self._origin, self._index = steady, 0
         if self._rate[0]:
             self.due = steady
@@ -65,7 +65,7 @@ class Ticks:
         return due
 
     def shift(self, amount: int) -> None:
-        """Let everything be later by an amount of steady time [ns]."""
+        """Delay everything by an amount of steady time [ns]."""
         if self.due != NEVER:
             self._origin += amount
             self.due += amount

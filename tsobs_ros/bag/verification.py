@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Verification of a bag: the questions whose answers decide what its readers give.
+"""Verification of a bag: checks of everything that decides the result of reading it.
 
-Can every tool open it, does each summary agree with the content of its file, do the checksums hold,
-and does metadata.yaml agree with the files? An error is what makes a reader fail or lose something.
-Messages are not decoded.
+Can every tool open it? Does each summary agree with the content of its file? Do the checksums hold?
+Does metadata.yaml agree with the files? An error is a problem that makes a reader fail or lose
+data. Messages are not decoded.
 """
 
 import os
@@ -46,8 +46,8 @@ class Verification:
         path: The bag.
         files: The number of files checked.
         messages: The number of messages checked.
-        errors: What makes readers fail or lose something, each with the file, and the topic.
-        unchecked: The number of messages that no checksum covers, so that damage is not noticed.
+        errors: Problems that make readers fail or lose data, each with the file, and the topic.
+        unchecked: The number of messages that no checksum covers: damage in them is not noticed.
     """
 
     path: Path
@@ -62,13 +62,13 @@ class Verification:
         return not self.errors
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain data."""
+        """Return the result as plain data."""
         return {"bag": str(self.path), "holds": self.holds} | {
             name: getattr(self, name) for name in ("files", "messages", "unchecked", "errors")
         }
 
     def text(self) -> str:
-        """Return the same for people to read."""
+        """Return the result as text for people."""
         lines = [f"error: {finding}" for finding in self.errors]
         verdict = f"OK, but {self.unchecked} UNCHECKED" if self.unchecked else "OK"
         verdict = verdict if self.holds else f"NOT sound, errors: {len(self.errors)}"
@@ -81,8 +81,8 @@ def verify(
 ) -> Verification:
     """Check a bag: its folder, the structure of its files, and each message.
 
-    Progress is called with the number of bytes that were checked since its last call. Trusted
-    chunks are read however much they decompress to.
+    `progress` is called with the number of bytes checked since its last call. If `is_trusted`,
+    chunks of any decompressed size are read.
 
     Raises:
         BagReadError: There is no such folder or file.
@@ -129,7 +129,7 @@ def _check_names(there: BagFiles, metadata: BagMetadata, errors: _Findings) -> N
 
 
 def _differences(metadata: BagMetadata, files: list["_Check"]) -> Iterator[str]:
-    """Yield in what metadata.yaml is not what it would be of the files."""
+    """Yield the differences of metadata.yaml from the metadata that the files imply."""
     stated = _by_name(msgspec.to_builtins(metadata))
     whole = [file for file in files if file.is_complete]
     counts = sum((file.kept for file in whole), Counter[str]())
@@ -142,7 +142,7 @@ def _differences(metadata: BagMetadata, files: list["_Check"]) -> Iterator[str]:
     own = [FileMetadata.of(one.name, *(one.span or (0, 0)), one.kept.total()) for one in whole]
     found = BagMetadata.of(each, own)
     actual = _by_name(msgspec.to_builtins(found))
-    if len(whole) < len(metadata.files):  # the files that could be checked
+    if len(whole) < len(metadata.files):  # compare only the files that could be checked
         for topic in actual["topics"].values():
             del topic["message_count"]
         actual = {"topics": actual["topics"], "files": actual["files"]}
@@ -164,7 +164,7 @@ def _by_name(information: dict[str, Any]) -> dict[str, Any]:
 
 
 def _compared(stated: Any, actual: Any, *path: object) -> Iterator[str]:
-    """Yield what is stated otherwise than it is, of all that it is."""
+    """Yield the differences of `stated` from `actual`, for all keys of `actual`."""
     if isinstance(stated, dict) and isinstance(actual, dict):
         for key in actual:
             yield from _compared(stated.get(key), actual[key], *path, key)
@@ -173,13 +173,13 @@ def _compared(stated: Any, actual: Any, *path: object) -> Iterator[str]:
 
 
 class _Check(DamagedFile):
-    """The check of one file: its content, and its summary against that."""
+    """The check of one file: its content, and its summary against this content."""
 
     def __init__(self, path: Path, of_bag: dict[str, TopicInfo], errors: _Findings) -> None:
         super().__init__(path, of_bag)
         self.is_complete = False
         self._errors = errors
-        # What the summary should state of each chunk by its place: size and log times.
+        # Size and log times of each chunk, by its offset, which the summary should state.
         self._chunks: dict[int, tuple[int, int, int]] = {}
 
     def run(self, progress: Progress, is_trusted: bool) -> None:
@@ -197,7 +197,7 @@ class _Check(DamagedFile):
         except OSError as error:
             self._error(str(error).removeprefix(f"{self.path}: "))
             return
-        # Topics without messages are only there.
+        # Only the summary describes topics without messages.
         self.described.add_all(summary.schemas, summary.channels)
         for schema in self.described.schemas.values():
             if not _TYPE_NAME.fullmatch(schema.name):
@@ -254,6 +254,6 @@ class _Check(DamagedFile):
 
 
 def _in_order(index: bytes) -> list[bytes]:
-    """Return the head of a message index and its sorted entries: each writer has its order."""
+    """Return the head of a message index and its sorted entries: each writer has its own order."""
     begins = range(INDEX_HEAD.size, len(index), 16)
     return [index[: INDEX_HEAD.size], *sorted(index[begin : begin + 16] for begin in begins)]

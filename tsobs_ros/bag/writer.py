@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Writing bags: a folder of MCAP files with a metadata.yaml, as `ros2 bag record -s mcap` does."""
+"""A writer of bags: folders of MCAP files with a metadata.yaml, as of `ros2 bag record -s mcap`."""
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -35,21 +35,21 @@ if TYPE_CHECKING:
 
 CHUNK_SIZE = 786_432
 
-# Of a message in front of its times.
+# Size of the part of a message in front of its times.
 _HEAD_SIZE = MESSAGE.size - 16
 
 
 class BagWriter(AbstractContextManager["BagWriter"]):
     """Writes one bag; a context manager that closes it.
 
-    All methods but `sync` belong to one thread. Once writing has failed, all further writing does:
-    there may be half a chunk in a file, and an index would hide what can be recovered.
+    All methods except `sync` belong to one thread. Once a write has failed, all further writes
+    fail: a file may have half a chunk, and an index would hide messages that can be recovered.
 
     Args:
         path: The bag's folder, which must not exist; missing parents are created.
-        compression: Of the chunks: `none`, `lz4` or `zstd`.
+        compression: Compression of the chunks: `none`, `lz4` or `zstd`.
         max_size: The size at which another file is started, bytes; 0 for no limit.
-        max_duration_ns: The longest time of a file between log times, ns; 0 for no limit.
+        max_duration_ns: The longest span of log times in a file, ns; 0 for no limit.
         custom_data: Notes for the bag's metadata.
 
     Raises:
@@ -78,7 +78,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._on_disk = (0, 0)
         self._closed = False
         self._failure = ""
-        # Held while the disk is forced to take something, which may last for seconds.
+        # Held during a sync of the disk, which may take seconds.
         self._disk = Lock()
         if os.path.lexists(self.path):
             raise BagWriteError(f"{self.path}: exists already, bags are not overwritten")
@@ -117,13 +117,13 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     ) -> None:
         """Register a topic before its first message.
 
-        Registering it again changes nothing: readers compare a topic's QoS in the file with the
-        one in metadata.yaml, and return no messages where they differ.
+        Registering a topic again changes nothing: readers compare its QoS in the file with that in
+        metadata.yaml, and return no messages if they differ.
 
         Args:
             name: The full topic name.
             type: The message type, `package/msg/Type`.
-            qos_profiles: What its publishers offer.
+            qos_profiles: The offers of its publishers.
             definition: Its definition; the installed one by default.
         """
         if (known := self._topics.get(name)) is not None:
@@ -168,7 +168,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def write_series(self, series: Sequence[MessageSeries]) -> None:
         """Append messages in order of log time, equal ones in order of the series.
 
-        Limits of files do not hold.
+        The limits on size and duration of files do not apply.
         """
         made = []
         for one in filter(lambda one: len(one.data), series):
@@ -191,7 +191,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         for rows in made:
             own, places = places[: len(rows)], places[len(rows) :]
             pieces(data, rows.itemsize)[own] = rows.view(f"V{rows.itemsize}")
-        # Chunks of the usual size; the message that goes beyond it is the chunk's last.
+        # Chunks of the usual size: the message that exceeds it is the last of its chunk.
         begin = 0
         while begin < len(data):
             end = int(ends[np.searchsorted(ends[:-1], begin + CHUNK_SIZE, side="right")])
@@ -199,10 +199,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             begin = end
 
     def copy_topics(self, reader: "BagReader", topics: Collection[str]) -> None:
-        """Copy what the chunks of a bag have of some topics, in the order of its files.
+        """Copy the messages of some topics from the chunks of a bag, in the order of its files.
 
         Raises:
-            BagReadError: A chunk is damaged; those in front of it are copied.
+            BagReadError: A chunk is damaged; the chunks before it are copied.
         """
         for summary in reader.summaries:
             each = summary.channels.items()
@@ -212,9 +212,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                     self.copy(reader.read(span)[0], wanted)
 
     def copy(self, content: Records, topics: Mapping[int, str]) -> None:
-        """Copy what a chunk of another bag has of some topics; limits of files do not hold.
+        """Copy the messages of some topics from a chunk of another bag; file limits do not apply.
 
-        `topics` are those to copy, all registered, by their channels there.
+        `topics` has the topics to copy, all registered, by their channels in that bag.
         """
         ids = {id_: self._file.ids[topic] for id_, topic in topics.items()}
         if len((picked := pick(content, ids)).rows):
@@ -226,7 +226,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._file.add_chunk(records)
 
     def _require(self, topic: str | None, *times: NDArray[np.int64]) -> None:
-        """Raise `BagWriteError` unless a topic is registered, and times [ns] fit."""
+        """Raise `BagWriteError` unless a given topic is registered and times [ns] fit 63 bits."""
         if topic is not None and topic not in self._topics:
             raise BagWriteError(f"{self.path}: topic {topic} has not been added")
         for each in times:
@@ -240,9 +240,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._file.flush()
 
     def split(self) -> None:
-        """Start another file, unless the current one is empty; a kill cannot harm that one.
+        """Start another file, unless the current one is empty; a kill cannot harm the old one.
 
-        The metadata.yaml in the folder names it after the next `sync` or `close`.
+        The metadata.yaml in the folder names the new file after the next `sync` or `close`.
         """
         with self._writing():
             if self._file.message_count == 0:
@@ -256,9 +256,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise
 
     def sync(self) -> None:
-        """Force what has been flushed to the disk, so that it survives a power cut.
+        """Force all flushed data to the disk, so that they survive a power cut.
 
-        May run in another thread than the rest, as a disk can be slow; does nothing once the bag is
+        It may run in a thread of its own, as a disk can be slow. It does nothing once the bag is
         closed.
         """
         with self._disk:
@@ -269,8 +269,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 for file in finished:
                     file.close()
                 current.sync()
-            # Not every time: the counts are in the files, but after a power cut the folder should
-            # name its topics and files.
+            # Only if topics or files are new: the files have the counts, but after a power cut
+            # metadata.yaml should name all topics and files.
             if self._on_disk != (len(self._topics), len(self._files)):
                 self._write_metadata()
 
@@ -281,7 +281,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 return
             self._closed = True
             with naming_path(self._file.path, BagWriteError, "write"), ExitStack() as stack:
-                # Whatever fails, all is done.
+                # Every step is done, even if another one fails.
                 stack.callback(self._write_metadata)
                 for file in self._files:
                     stack.callback(file.close)
@@ -343,7 +343,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
 @contextmanager
 def whole_bag(path: str | Path, **options: Any) -> Iterator[BagWriter]:
-    """Yield the writer of a bag, as `BagWriter`, that appears once it is complete or not at all."""
+    """Yield the `BagWriter` of a bag that appears only once it is complete, or not at all."""
     path = Path(path).absolute()
     if os.path.lexists(path):
         raise BagWriteError(f"{path}: exists already, bags are not overwritten")

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Batches of simulated runs: their estimates, and the scores of these."""
+"""Batches of simulated runs: their estimates, and the scores of these estimates."""
 
 import json
 import math
@@ -26,19 +26,19 @@ from tsobs_ros.series import NANOSECONDS, Series
 from tsobs_ros.simulation.plant import Plant, Trajectories
 
 CLAIMS = ("certified", "learnt", "covariance", "none")
-"""What a bound is said to be by its basis: the certificate's, the certificate's but for the learnt
-parameters, a covariance; and nothing, which one that is not claimed is said to be."""
+"""The claim of a bound by its basis: the certificate's bound, the certificate's except for the
+learnt parameters, or a covariance; "none" if no bound is claimed."""
 
 Columns: TypeAlias = dict[str, NDArray[Any]]
-"""Of a table, by name, one entry per run."""
+"""Columns of a table by name, with one entry per run."""
 
 
 class Observed(NamedTuple):
     """Estimates of a batch of runs, at each sample from the samples up to it; NaN if there is none.
 
     Attributes:
-        rows: Of `Estimator.row_type`, shape (runs, samples).
-        events: What the supervision counted in each run.
+        rows: Records of `Estimator.row_type`, shape (runs, samples).
+        events: The counts of the supervision in each run.
     """
 
     rows: Rows
@@ -55,9 +55,9 @@ def observe(
     settings: ObserverSettings | None = None,
     estimator: Estimator | None = None,
 ) -> Observed:
-    """Observe a batch of runs as the node does; the bits are those of `ts.estimate`.
+    """Observe a batch of runs as the node does; the result is bit for bit that of `ts.estimate`.
 
-    Settings are by default the node's; the estimator may be made already.
+    The settings are by default the node's; `estimator` is one to use instead of a new one.
 
     Raises:
         ModelError: The method cannot observe this arm.
@@ -79,7 +79,7 @@ def observe(
 
 
 def stamps_of(times: Array) -> NDArray[np.int64]:
-    """Return stamps [ns] of times since the start of a run [s]; it starts at 1 s."""
+    """Return stamps [ns] of times since the start of a run [s], which has the stamp 1 s."""
     return NANOSECONDS + np.round(times * NANOSECONDS).astype(np.int64)
 
 
@@ -88,7 +88,7 @@ def recorded(
 ) -> RecordedRun:
     """Return one run of a batch as if it had been recorded, with estimates by their names.
 
-    The request is by default of one encoder on the link and no torque disturbance.
+    The default request has one encoder on the link and no torque disturbance.
     """
     request = request or ArmRequest()
     sides = request.torque_sides
@@ -102,20 +102,20 @@ def recorded(
         "true_torque_disturbance": torques,
         **estimates,
     }
-    # A method without bounds has no numbers there.
+    # A method without bounds has no columns of bounds.
     series = {name: Series(stamps, values) for name, values in parts.items() if values.shape[1]}
     series["measurements"] = Series(stamps[there], measured[there])
     return RecordedRun("run", "run", series, request=request)
 
 
 def claimed(run: RecordedRun, rows: Rows) -> dict[str, int | float]:
-    """Return what holds of the errors by what their bounds are said to be, settled or not.
+    """Return statistics of the errors by the claim of their bounds, whether settled or not.
 
-    For each of `CLAIMS` that is the number of samples and, of each quantity, the share of errors
-    inside `SIGMAS` times their bound, and the root mean square and the largest of error / bound,
-    NaN without any.
+    For each of `CLAIMS`, these are the number of samples and, for each quantity, the share of
+    errors inside `SIGMAS` times their bound, and the root mean square and the maximum of
+    error / bound, NaN without samples.
     """
-    # The first two claims have the codes of their basis; it is NaN without an estimate.
+    # The first two claims have the codes of their bases. The basis is NaN without an estimate.
     basis = rows["basis"]
     said = np.minimum(basis, 2.0)
     is_bad = (rows["claimed"] == 0.0) | np.isin(basis, (Basis.CONTRADICTED, Basis.OUTSIDE))
@@ -138,9 +138,9 @@ def claimed(run: RecordedRun, rows: Rows) -> dict[str, int | float]:
 
 
 def compute(campaign: Campaign, begin: int, end: int) -> Columns:
-    """Draw, simulate, observe and score the runs from a number up to another.
+    """Draw, simulate, observe and score the runs from `begin` up to, but not including, `end`.
 
-    A row depends on the campaign and the run's number alone, whatever runs are computed beside it.
+    A row depends only on the campaign and the run's number, not on runs computed together with it.
 
     Raises:
         TsobsError: A scenario does not fit the design.

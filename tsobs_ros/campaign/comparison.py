@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Observers on the same simulated scenarios."""
+"""Comparison of observers on the same simulated scenarios."""
 
 import math
 import os
@@ -33,12 +33,12 @@ DEFAULT_SCENARIOS = (
     "stiff_many_outliers",
     "friction",
 )
-"""What `tsobs compare` simulates: as designed, each kind of fault of the sensor, wrong parameters,
-and a force that the model lacks."""
+"""The scenarios of `tsobs compare`: the arm as designed, each kind of sensor fault, wrong
+parameters, and a force that the model lacks."""
 
 HIGH_GAIN = ("high_gain", "proportional_integral")
 THETAS = tuple(np.geomspace(0.7, 20.0, 12).tolist())
-"""θ to choose the best from for observers of high gain [rad/s]."""
+"""Values of θ [rad/s], of which each high-gain observer takes the best."""
 
 
 def compare_scenarios(
@@ -53,15 +53,15 @@ def compare_scenarios(
 ) -> dict[str, Any]:
     """Run observers on simulated scenarios, on all cores; return plain data that JSON can hold.
 
-    A scenario has the errors of each observer, and `theta` of observers of high gain [rad/s].
+    A scenario has the errors of each observer, and `theta` of high-gain observers [rad/s].
 
-    The scenarios' arm is the design's; rate and noise are in proportion to its own. Seeds are 0, 1,
-    …; methods that cannot observe the arm are left out, with a remark; runs are as long as the
-    scenario's, unless a duration is given [s].
+    The scenarios have the design's arm, and rate and noise in proportion to the design's. Seeds are
+    0, 1, …. Methods that cannot observe the arm are left out, with a remark. Runs are as long as
+    those of the scenario, unless `duration` [s] is given.
 
     Raises:
-        ModelError: A name is unknown, there are no seeds, no observer can observe the arm, or it
-            has not the link angle as its only output.
+        ModelError: A name is unknown, there are no seeds, no observer can observe the arm, or
+            the link angle is not the design's only output.
     """
     positive("seeds", seeds)
     check_names("scenario", scenarios, SCENARIOS)
@@ -141,7 +141,7 @@ def _root_mean(values: Sequence[float | None]) -> float | None:
 
 
 def _fitted(scenario: Scenario, design: Design) -> Scenario:
-    """Return a scenario with the arm of a design, and rate and noise in proportion to its own."""
+    """Return a scenario with a design's arm, and rate and noise in proportion to the design's."""
     request, (output,) = design.arm_request, scenario.outputs
     noise = output.sensor.noise_std * float(request.output_std[0]) / Sensor().noise_std
     return replace(

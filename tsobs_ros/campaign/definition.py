@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Campaign files: a design, what its arm goes through, and the ranges that runs are drawn from."""
+"""Campaign files: a design, scenarios for its arm, and ranges from which runs are drawn."""
 
 import json
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ class OutputEntries:
 
 @dataclass(kw_only=True)
 class ScenarioEntries(OutputEntries):
-    """A scenario, drawn; `config/campaign.yaml` describes the entries.
+    """A drawn scenario; `config/campaign.yaml` describes the entries.
 
     Sensor and disturbance are the first output's. Entries replace the campaign's of the same name.
     """
@@ -68,7 +68,7 @@ class ScenarioEntries(OutputEntries):
 class CampaignEntries:
     """The entries of a campaign file, which `config/campaign.yaml` describes.
 
-    What is drawn is plain data here.
+    Entries that are drawn are still plain data here.
     """
 
     design: str = SHIPPED_DESIGN
@@ -99,7 +99,7 @@ class _File:
 class Campaign:
     """A campaign: its entries and its design.
 
-    A run is a function of its number, of these and of nothing else.
+    A run depends only on its number, the entries and the design.
 
     Raises:
         TsobsError: An entry is out of range, unknown, or does not fit the design.
@@ -124,18 +124,18 @@ class Campaign:
 
     @cached_property
     def settings(self) -> ObserverSettings:
-        """How the design is run."""
+        """The settings of the observer."""
         with naming("observer"):
             return changed(ObserverSettings(), self.entries.observer)
 
     @cached_property
     def estimator(self) -> Estimator:
-        """What observes the runs."""
+        """The estimator that observes the runs."""
         return make_estimator(self.design, self.settings)
 
     @cached_property
     def turns(self) -> Sequence[str]:
-        """The scenarios that runs go through in turn, those of a larger weight more often."""
+        """The scenarios that runs use in turn; those of a larger weight come more often."""
         weights = {name: one.get("weight", 1) for name, one in self.entries.scenarios.items()}
         for name, weight in weights.items():
             if not isinstance(weight, int) or weight < 1:
@@ -143,25 +143,25 @@ class Campaign:
                     f"scenarios.{name}.weight: expected a whole number of at least 1, "
                     f"got {weight!r}"
                 )
-        # One after the other, not in blocks, so that a few runs already have most of them.
+        # Scenarios alternate, instead of coming in blocks, so that a few runs already cover most.
         rounds = range(max(weights.values(), default=0))
         return [name for turn in rounds for name, weight in weights.items() if weight > turn]
 
     @cached_property
     def identity(self) -> str:
-        """Checksum of all that decides the numbers of a run."""
+        """Checksum of everything that decides the numbers of a run."""
         data = encode(self.entries)
         for name in ("runs", "design"):
             del data[name]
         return sha256(json.dumps([__version__, checksum(self.design), data]).encode()).hexdigest()
 
     def text(self, design: str) -> str:
-        """Return the campaign as a file with another entry `design`."""
+        """Return the text of the campaign's file, with `design` as its entry `design`."""
         entries = {**encode(self.entries), "design": design}
         return yaml_text(_HEADER, {"format": FORMAT, "version": VERSION, "campaign": entries})
 
     def with_runs(self, runs: int) -> "Campaign":
-        """Return the same campaign of another number of runs."""
+        """Return the same campaign with another number of runs."""
         return Campaign(replace(self.entries, runs=runs), self.design)
 
 

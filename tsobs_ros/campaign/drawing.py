@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The runs of a campaign, drawn by their numbers, and which premises of the bound they keep."""
+"""The runs of a campaign, drawn by their numbers, and the premises of the bound they violate."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -33,7 +33,7 @@ Choose = Callable[[float, float], float]
 """Chooses a number from a range."""
 
 WALK = 1e6
-"""Time constant of a drift that is a random walk for the length of a run [s]."""
+"""Time constant of a drift that acts as a random walk over the length of a run [s]."""
 
 _EPSILON = 1e-9
 
@@ -45,14 +45,14 @@ _SENSOR = {
     "latency": "latency",
     "resolution": "resolution",
 }
-"""What sensors have that no design foresees, by the number that is not 0 then."""
+"""Effects in sensors that no design foresees, by the number that is not 0 if they act."""
 
 _SEEDS = 2**53
-"""Seeds of runs are below it, so that every program can read them."""
+"""Seeds of runs are below this limit, so that every program can read them."""
 
 _INERTIAS = {"link_inverse_inertia": "link_inertia", "motor_inverse_inertia": "motor_inertia"}
 _NUMBERS = {"gravity": "gravity_torque", **_INERTIAS}
-"""An arm's numbers that change with uncertain parameters of other names."""
+"""Names of an arm's numbers by uncertain parameter, if the two names differ."""
 
 
 class Drawn(NamedTuple):
@@ -60,11 +60,11 @@ class Drawn(NamedTuple):
 
     Attributes:
         run: Its number.
-        name: Of its scenario in the campaign.
-        seed: Of its simulation.
-        scenario: What it goes through.
+        name: Name of its scenario in the campaign.
+        seed: Seed of its simulation.
+        scenario: Scenario to simulate.
         theta: True changes of the design's uncertain parameters, by name.
-        numbers: What was drawn from ranges, by the paths of the entries.
+        numbers: Numbers drawn from ranges, by the paths of the entries.
     """
 
     run: int
@@ -76,7 +76,7 @@ class Drawn(NamedTuple):
 
 
 def draw_group(campaign: Campaign, begin: int, end: int) -> list[Drawn]:
-    """Return runs that share what is drawn from ranges, from a number up to another, or fewer.
+    """Return the runs from `begin` up to `end`, or fewer, that share all numbers drawn from ranges.
 
     Raises:
         TsobsError: An entry of their scenario is unknown, out of range or does not fit the design.
@@ -121,7 +121,7 @@ def _drawn(
         theta = {}
         for parameter, bound in request.uncertainty.items():
             theta[parameter] = share * bound * choose(-1.0, 1.0)
-            if parameter.endswith("damping"):  # which is not negative
+            if parameter.endswith("damping"):  # a damping is not negative
                 theta[parameter] = max(theta[parameter], -getattr(request.arm, parameter))
         scenario = _scenario(request, given, theta, random, entries.duration)
     return scenario, theta, numbers
@@ -182,7 +182,7 @@ def _scenario(
 
 
 def _signals(name: str, entries: Sequence[dict[str, Any]]) -> list[Any]:
-    """Return the signals of entries of a name."""
+    """Return the signals of entries; `name` is for errors."""
     found = []
     for place, entry in enumerate(entries):
         with within(f"{name}[{place}]"):
@@ -193,7 +193,7 @@ def _signals(name: str, entries: Sequence[dict[str, Any]]) -> list[Any]:
 def _designed(
     terms: Iterable[DisturbanceTerm], given: ScenarioEntries, random: np.random.Generator
 ) -> list[Any]:
-    """Return a disturbance as terms of a design describe it, with its start, if it is asked for."""
+    """Return a disturbance, with its start, as a design's terms describe it, if `as_designed`."""
     found: list[Any] = []
     for term in terms if given.as_designed else ():
         if term.kind in ("bias", "ramp"):
@@ -214,7 +214,7 @@ def _designed(
 def _true_arm(
     arm: ElasticJointArm, given: ScenarioEntries, theta: Mapping[str, float]
 ) -> tuple[dict[str, float], Friction]:
-    """Return mismatch and friction of an arm by a scenario and by θ, one change after the other."""
+    """Return mismatch and friction of an arm: the scenario's changes, then those by θ."""
     changes, friction = dict[str, float](), asdict(given.friction)
     for name, value in theta.items():
         if not name.endswith("damping"):
@@ -232,12 +232,12 @@ def _true_arm(
 
 
 def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
-    """Return what a scenario has that the bound of a design does not foresee.
+    """Return the properties of a scenario that the bound of a design does not foresee.
 
-    Dropouts are not among it: what is claimed after them is a covariance, until the certificate
-    covers it. Of uncertain parameters all changes within the bounds are foreseen; if the design
-    does not certify these, the bound is called "certified but for the learnt parameters". Whether
-    a run stays in the domain is seen only when it has been simulated.
+    Dropouts are not among them: the claimed bound after a dropout is a covariance, until the
+    certificate covers it again. All changes of uncertain parameters within their bounds are
+    foreseen; if the design does not certify them, the bound is called "certified but for the learnt
+    parameters". Only a simulation shows whether a run stays in the domain.
     """
     friction, payload, torques = scenario.friction, scenario.payload, scenario.torque_disturbance
     noise, designed = scenario.process_noise, request.process_noise
@@ -273,7 +273,7 @@ def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
 
 
 def _thetas(mismatch: Mismatch, arm: ElasticJointArm) -> dict[str, float]:
-    """Return the changes of uncertain parameters that a mismatch is."""
+    """Return the changes of uncertain parameters that are equivalent to a mismatch."""
     return {
         "stiffness": mismatch.stiffness,
         "gravity": mismatch.gravity_torque if arm.gravity_torque else 0.0,
@@ -285,7 +285,7 @@ def _thetas(mismatch: Mismatch, arm: ElasticJointArm) -> dict[str, float]:
 
 
 def _foresees(terms: Sequence[DisturbanceTerm], components: Iterable[Signal]) -> bool:
-    """Return whether terms of a design have a place for each of some components."""
+    """Return whether terms of a design cover each of some components."""
     drifts = list(terms)
     for component in components:
         drifting = isinstance(component, GaussMarkov)

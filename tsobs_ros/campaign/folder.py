@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Campaigns in folders: the campaign's file, and a Parquet file for each part that is done.
 
-A file appears once it is complete. So a campaign goes on from whatever is there.
+A file appears only once it is complete, so that a campaign can continue from the existing files.
 """
 
 import os
@@ -21,7 +21,7 @@ from tsobs_ros.design.file import design_text
 from tsobs_ros.files import write_whole, written_whole
 
 PART = 100
-"""Runs in a part: what is computed and written at a time."""
+"""Number of runs in a part, which is computed and written as a whole."""
 
 DESIGN, RUNS = "campaign.design.yaml", "runs"
 SUMMARY = ("summary.json", "summary.txt")
@@ -35,14 +35,14 @@ def run_campaign(
     threads: int | None = None,
     progress: Callable[[int], object] = lambda _: None,
 ) -> Columns:
-    """Run a campaign, or what is missing of it, in a folder, and return the columns of its runs.
+    """Run a campaign, or its missing runs, in a folder, and return the columns of its runs.
 
-    The numbers depend neither on how many threads compute the runs, by default as many as there
-    are cores, nor on what was done before. `progress` is called with the number of runs that are
-    done since.
+    The numbers depend neither on the number of threads, by default that of the cores, nor on runs
+    that were done before. `progress` is called with the number of runs that were done since its
+    last call.
 
     Raises:
-        CampaignError: The folder has something else.
+        CampaignError: The folder has other content, or a part cannot be read.
         TsobsError: A scenario does not fit the design.
     """
     check(campaign)
@@ -82,7 +82,7 @@ def run_campaign(
 
 
 def _rows(campaign: Campaign, part: Path) -> int:
-    """Return the number of rows of a part, 0 if it is not there, damaged or another's."""
+    """Return the number of rows of a part, 0 if it is missing, damaged or another campaign's."""
     try:
         metadata = parquet.read_metadata(part)
     except (OSError, pa.ArrowInvalid):

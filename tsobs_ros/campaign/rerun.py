@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One run of a campaign made again, as a bag of measurements, truth and estimates."""
+"""Repetition of one run of a campaign, as a bag of measurements, truth and estimates."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,7 +26,7 @@ JOINT = "elastic_joint"
 
 
 def rerun(campaign: Campaign, run: int, output: Path) -> Path:
-    """Make a run again by its number, and return its bag: `bag` in a folder.
+    """Repeat a run by its number, and return its bag: `bag` in the folder `output`.
 
     Raises:
         CampaignError: The campaign has no such run.
@@ -44,7 +44,7 @@ def rerun(campaign: Campaign, run: int, output: Path) -> Path:
 
 
 def _recorded(campaign: Campaign, run: Trajectories, bag: Path) -> Path:
-    """Write what a plant simulator would have sent."""
+    """Write the messages that a plant simulator would have sent; return the bag."""
     own = campaign.design.arm_request.signals(JOINT, alone=True)
     stamps, everywhere = stamps_of(run.times), np.ones(len(run.times), np.bool_)
     measured = np.isfinite(run.measurements).any(axis=1)

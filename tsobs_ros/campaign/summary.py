@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Summary of a campaign: errors, the bounds against them, the worst runs."""
+"""Summary of a campaign: errors, their sizes relative to the bounds, and the worst runs."""
 
 import json
 from collections import Counter
@@ -22,11 +22,11 @@ _WORST = 5
 
 
 def summarise(campaign: Campaign, columns: Columns) -> dict[str, Any]:
-    """Return the summary of a campaign's runs as plain data, None for what is not known.
+    """Return the summary of a campaign's runs as plain data, None for unknown values.
 
-    Runs that `failed` have an error that is not known. Quantiles are those of the table's head. Of
-    `bounds` by what they are said to be there are the share of samples and, of each quantity, the
-    share of errors inside three bounds, and the root mean square and the largest of error / bound.
+    `failed` counts the runs with an unknown error. Quantiles are those of the table's head. For
+    each claim, `bounds` has the share of samples and, for each quantity, the share of errors inside
+    three bounds, and the root mean square and the maximum of error / bound.
     """
     design, entries = campaign.design, campaign.entries
     quantities = quantities_of(design.arm_request)
@@ -126,13 +126,13 @@ def _claim(columns: Columns, keys: Sequence[str], claim: str, chosen: Flags) -> 
 
 
 def _worst(columns: Columns, keys: Sequence[str], repeats: int) -> dict[str, list[dict[str, Any]]]:
-    """Return the worst runs by each measure, one of those that share what is drawn."""
+    """Return the worst runs by each measure, only one of those that share the drawn numbers."""
     claims = [claim for claim in CLAIMS if claim != "none"]
     claimed = np.array([columns[f"{key}_{claim}_worst"] for key in keys for claim in claims])
     ratio, held = np.fmax.reduce(claimed), columns["premises_hold"]
     found = {}
     for measure, values in (
-        # Runs without a number are the worst by their error.
+        # Runs without a number count as the worst.
         ("normalised RMSE", np.nan_to_num(columns["normalised_rmse"], nan=np.inf)),
         ("error / claimed bound, premises hold", np.where(held, ratio, np.nan)),
         ("error / claimed bound, others", np.where(held, np.nan, ratio)),

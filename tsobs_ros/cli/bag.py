@@ -16,7 +16,7 @@ def add_parser(commands: Commands) -> None:
     for name, run, text in (
         ("info", _info, "files, times and topics, also of an unfinished bag"),
         ("verify", _verify, "check that every tool reads the bag; exit code 1 with reasons if not"),
-        ("recover", _recover, "make a whole bag of a damaged or unfinished one, left as it is"),
+        ("recover", _recover, "make a whole copy of a damaged or unfinished bag"),
     ):
         add = add_command(actions, name, run, text).add_argument
         add("bag", type=Path, help="a bag's folder, or one MCAP file")

@@ -21,14 +21,14 @@ from tsobs_ros.files import write_whole
 
 def add_parser(commands: Commands) -> None:
     """Add the command `campaign`."""
-    text = "many simulated runs: errors, and the certified bound against them"
+    text = "many simulated runs: their errors, compared with the certified bound"
     add = add_command(commands, "campaign", run, text).add_argument
     add("campaign", type=Path, nargs="?", metavar="FILE", help="YAML, as config/campaign.yaml")
     add(
         "--output", type=Path, metavar="DIR", required=True,
-        help="folder; of the same campaign: to go on with it",
+        help="folder; one of the same campaign is continued",
     )  # fmt: skip
-    add("--runs", type=at_least_one, metavar="N", help="instead of the file's")
+    add("--runs", type=at_least_one, metavar="N", help="number of runs (default: the file's)")
     add(
         "--workers", type=at_least_one, metavar="N", dest="threads",
         help="threads (default: as many as cores)",

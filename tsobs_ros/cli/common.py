@@ -16,10 +16,10 @@ from typing import Any, TypeAlias
 from tsobs_ros.errors import printable
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-"""Where a command adds its parser."""
+"""The object to which a command adds its parser."""
 
 Run = Callable[[argparse.Namespace], int]
-"""Carries a command out with its options, and returns the exit code."""
+"""Runs a command with its options, and returns the exit code."""
 
 Advance = Callable[[int], None]
 """Called with the amount of work done since its last call."""
@@ -34,7 +34,7 @@ def add_command(commands: Commands, name: str, run: Run, text: str) -> argparse.
 
 
 def add_log_options(command: argparse.ArgumentParser) -> None:
-    """Let a command read CSV logs whose header does not say all."""
+    """Add options that describe CSV logs if the header does not."""
     add = command.add_argument_group("for CSV logs", "if the header does not say it").add_argument
     add(
         "--columns", type=pairs, default={}, metavar="WHAT=COLUMN,...",
@@ -48,7 +48,7 @@ def add_log_options(command: argparse.ArgumentParser) -> None:
 
 
 def keywords(options: argparse.Namespace, function: Callable[..., Any]) -> dict[str, Any]:
-    """Return the options that are called as the keyword-only arguments of a function."""
+    """Return the options that have the names of a function's keyword-only arguments."""
     parameters = inspect.signature(function).parameters.values()
     names = {each.name for each in parameters if each.kind is each.KEYWORD_ONLY}
     return {name: value for name, value in vars(options).items() if name in names}
@@ -76,7 +76,7 @@ def pairs(text: str) -> dict[str, str]:
 
 
 def joined(given: list[dict[str, str]]) -> dict[str, str]:
-    """Return the pairs of an option that can be repeated."""
+    """Return the pairs of a repeated option as one mapping."""
     return {name: value for one in given for name, value in one.items()}
 
 
@@ -88,13 +88,13 @@ def show(mapping: dict[str, Any], text: str, as_json: bool) -> None:
 
 
 def json_text(mapping: dict[str, Any]) -> str:
-    """Return plain data as JSON, null for numbers that JSON does not have."""
+    """Return plain data as JSON, with null for numbers that JSON lacks."""
     plain = json.loads(json.dumps(mapping), parse_constant=lambda _: None)
     return json.dumps(plain, indent=2).replace("\x7f", r"\u007f")
 
 
 def note(text: str) -> None:
-    """Print a line that is no result, to stderr."""
+    """Print a line that is not part of the result, to stderr."""
     with suppress(OSError):  # the terminal has gone
         print(text, file=sys.stderr)
 
@@ -105,7 +105,7 @@ def progress(
 ) -> Iterator[Advance]:
     """Show a progress bar while the block runs, if stderr is a terminal and tqdm is installed.
 
-    With `scale` large amounts of work are written with prefixes such as M.
+    With `scale`, large amounts of work have prefixes such as M.
     """
     if quiet or not sys.stderr.isatty() or find_spec("tqdm") is None:
         yield lambda _: None

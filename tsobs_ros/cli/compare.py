@@ -19,7 +19,7 @@ from tsobs_ros.cli.estimate import METHODS, add_observer_options, estimate, give
 from tsobs_ros.errors import ParameterError, printable
 
 FILE = "compare.json"
-"""What is written of a comparison on scenarios."""
+"""Name of the file with the result of a comparison on scenarios."""
 
 _OF_RECORDINGS = (
     "joints", "topic", "at", "rate", "columns", "units", "other_design", "held_out", "held_out_std",

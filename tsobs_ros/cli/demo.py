@@ -39,7 +39,7 @@ RECORDED_TOPICS = (
 ADAPTIVE_TOPICS = tuple(f"/observer/{name}" for name in PARAMETER_TOPICS)
 """Published only if the design calls parameters uncertain."""
 
-_START_TIMEOUT = 60.0  # a second or two, on a machine that is busy with much else
+_START_TIMEOUT = 60.0  # usually a second or two, longer on a busy machine
 _STOP_TIMEOUT = 15.0
 _POLL = 0.05
 
@@ -64,12 +64,12 @@ def run(options: argparse.Namespace) -> int:
     """Run the nodes, then report on their bag."""
     from tqdm import tqdm
 
-    from tsobs_ros.report import figures, page  # noqa: F401  # nothing runs for a report that fails
+    from tsobs_ros.report import figures, page  # noqa: F401  # fail now, not after the run
     from tsobs_ros.report.bag_report import make_bag_report
 
     output = options.output or Path("demo") / datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
     if options.domain_id is None:
-        # Any domain from 1 to 101 keeps clear of the ports that outgoing connections use.
+        # Domains 1 to 101 do not use the ports of outgoing connections.
         options.domain_id = 1 + os.getpid() % 101
     note(
         f"plant, observer, visualizer and recorder on ROS_DOMAIN_ID={options.domain_id} for "
@@ -95,7 +95,7 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
         raise NodeError(f"{output}: cannot make this folder: {error.strerror}") from error
     bag = output / "bag"
     topics = "[" + ", ".join(RECORDED_TOPICS + ADAPTIVE_TOPICS) + "]"
-    # The flag outlasts the stack: no signal interrupts the end of the nodes.
+    # The flag outlasts the stack, so no signal interrupts the end of the nodes.
     with StopFlag(), ExitStack() as stack:
 
         def start(name: str, parameters: Mapping[str, object]) -> _Node:
@@ -129,7 +129,7 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
 
         _wait(has_finished, nodes, options.duration + _START_TIMEOUT)
         bar.update(options.duration - bar.n)
-        # The recorder first, so that it still takes what the others have sent.
+        # The recorder ends before observer and visualizer, and so takes all that they have sent.
         for node in (plant, *nodes):
             node.end()
             if node.returncode:
@@ -140,7 +140,7 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
 
 
 class _Node(subprocess.Popen[bytes]):
-    """One node executable as a child process, its output in a log file."""
+    """One node executable as a child process, with its output in a log file."""
 
     def __init__(
         self, name: str, parameters: Mapping[str, object], folder: Path, domain_id: int
@@ -153,7 +153,7 @@ class _Node(subprocess.Popen[bytes]):
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(folder),
             "PYTHONUNBUFFERED": "1",
-            PARENT: "0",  # a kill of the demo closes the pipe, which ends the node
+            PARENT: "0",  # a kill of the demo closes the pipe and thus ends the node
         }
         environment.pop("ROS_LOCALHOST_ONLY", None)
         settings = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
@@ -164,7 +164,7 @@ class _Node(subprocess.Popen[bytes]):
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=environment,
-                # The terminal's Ctrl-C goes to the demo alone, which ends its nodes in order.
+                # The terminal's Ctrl-C goes only to the demo, which ends its nodes in order.
                 start_new_session=True,
             )
 
@@ -190,7 +190,7 @@ class _Node(subprocess.Popen[bytes]):
 def _wait(
     done: Callable[[], bool], needed: Iterable[_Node], timeout: float = _START_TIMEOUT
 ) -> None:
-    """Wait while the needed nodes run."""
+    """Wait until `done`, as long as the needed nodes run."""
     deadline = time.monotonic() + timeout
     while not done():
         if signal_came():

@@ -48,7 +48,7 @@ def add_parser(commands: Commands) -> None:
 def add_observer_options(
     command: argparse.ArgumentParser, methods: Sequence[str], *, bag_required: bool = True
 ) -> None:
-    """Let a command run observers over a bag or a log, by default those of some methods."""
+    """Add the options to run observers over a bag or a log; `methods` are the default ones."""
     add = command.add_argument
     add(
         "bag", type=Path, metavar="BAG", nargs=None if bag_required else "?",
@@ -104,7 +104,7 @@ def estimate(
 ) -> int:
     """Run the observers that the options name, show the result, and return the exit code.
 
-    With `skip_misfits` those that cannot observe the arm are left out, with a remark.
+    With `skip_misfits`, observers that do not fit the arm are left out, with a remark.
     """
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import (
@@ -165,13 +165,13 @@ def estimate(
 
 
 def given_parameters(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the parameters that are given, those of the command line before those of the file."""
+    """Return the given parameters; those of the command line override those of the file."""
     from tsobs_ros.methods import ObserverSettings, read_parameters
     from tsobs_ros.settings import settings_of
 
     found = {} if options.params_file is None else read_parameters(options.params_file)
     known = settings_of(ObserverSettings)
-    # The others decide when and where estimates are published.
+    # The other ones only decide when and where estimates are published.
     in_file = {name: value for name, value in found.items() if name in known}
     return {**in_file, **joined(options.param)}
 
@@ -206,7 +206,7 @@ def _mapping_of(run: "Run", begin: int) -> dict[str, Any]:
 
 
 def _lines_of(run: "Run", width: int) -> list[str]:
-    """Return a run's counts and health, with so much room for its name."""
+    """Return a run's counts and health as lines; its name takes `width` columns."""
     rejected = ", ".join(f"{number:,} {reason.text}" for reason, number in run.rejected.items())
     lines = [
         f"{run.observer.name:<{width}}  {run.estimates:,} estimates from {run.used:,} "

@@ -28,7 +28,7 @@ def add_parser(commands: Commands) -> None:
     )  # fmt: skip
     add(
         "--max-steps", type=at_least_one, default=1024, metavar="N",
-        help="most samples to which a late one can rewind; fewer take less memory (default: 1024)",
+        help="most samples that a late one can rewind; fewer take less memory (default: 1024)",
     )  # fmt: skip
     add("--force", action="store_true", help="replace an existing file")
 

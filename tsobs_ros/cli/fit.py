@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs excite`: a motion that shows a joint's numbers; `tsobs fit`: them from its recording."""
+"""`tsobs excite`: a motion that reveals a joint's numbers; `tsobs fit`: a fit of these numbers."""
 
 import argparse
 from pathlib import Path
@@ -23,7 +23,7 @@ from tsobs_ros.files import require_new, write_whole, written_whole
 
 def add_parser(commands: Commands) -> None:
     """Add the commands `excite` and `fit`."""
-    text = "make a torque motion that shows what fit looks for"
+    text = "make a torque motion that reveals the numbers that fit looks for"
     add = add_command(commands, "excite", _excite, text).add_argument
     add("request", type=Path, help="YAML with the numbers of data sheets")
     add("--output", type=Path, required=True, metavar="FILE", help="CSV to write")
@@ -45,7 +45,7 @@ def add_parser(commands: Commands) -> None:
     )  # fmt: skip
     add(
         "--free", action="append", default=[], metavar="NAME",
-        help="a number to show, or a group, as of fit; can be repeated (default: all but "
+        help="a number to show, or a group, as for fit; can be repeated (default: all but "
         "torque.gain)",
     )  # fmt: skip
     add(
@@ -105,7 +105,7 @@ def _fit(options: argparse.Namespace) -> int:
     report: Path | None = options.report
     require_new([options.output, *([report] if report else [])], force=options.force)
     if report:
-        # Here, so that a library that is missing shows before the work.
+        # Imported here, so that a missing library is noticed before the work.
         from tsobs_ros.report.fit import write_page
     request: Any = load_request(options.request)
     with progress(0, " samples", scale=True, quiet=options.json) as advance:

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `tsobs` command: parser and exit codes; each of its commands is a module.
+"""The `tsobs` command: parser and exit codes; each sub-command has a module.
 
 Exit codes: 0 done, 1 it failed or was interrupted (stderr says why), 2 wrong usage.
 """
@@ -18,7 +18,7 @@ from tsobs_ros.errors import TsobsError, complain, complain_of_missing, printabl
 from tsobs_ros.stop import interrupt
 
 _COMMANDS = (demo, fit, design, estimate, compare, campaign, export, report, watch, bag)
-"""In the order in which the help lists them."""
+"""The modules in the order of the help."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -35,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for module in _COMMANDS:
             module.add_parser(commands)
         options, unknown = parser.parse_known_args(argv)
-        if unknown:  # as parse_args, but they may be any file's name, by a pattern
+        if unknown:  # as parse_args, but a shell pattern may give any file name
             parser.error(printable(f"unrecognized arguments: {' '.join(unknown)}"))
         exit_code: int = options.command(options)
         return exit_code
@@ -43,16 +43,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         complain(error)
     except ModuleNotFoundError as error:
         complain_of_missing(error)
-    except UnicodeEncodeError as error:  # of a file's name, which may be any bytes
+    except UnicodeEncodeError as error:  # from a file name, which may be any bytes
         complain(f"expected names in UTF-8: {error}")
     except KeyboardInterrupt:
         note("interrupted")
     except OSError as error:
-        if not isinstance(error, BrokenPipeError):  # the reader of our output has gone
+        if not isinstance(error, BrokenPipeError):  # the reader of the output has gone
             complain(error)
         try:
             sys.stdout.flush()
-        except OSError:  # it would fail again at exit
+        except OSError:  # the flush at exit would fail again
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 1
 

@@ -16,15 +16,15 @@ from tsobs_ros.errors import printable
 if TYPE_CHECKING:
     from tsobs_ros.nodes.watcher import View
 
-_SILENT = 1.0  # age of the last estimate from which on it is shown [s]
-_TOO_FAR = 3.0  # bounds beyond which an error is marked
+_SILENT = 1.0  # age of the last estimate beyond which the view shows it [s]
+_TOO_FAR = 3.0  # number of 1σ bounds beyond which an error is marked
 _STYLES = ("green", "bold dark_orange", "bold red", "dim")
 _HEADINGS = {"value": "", "bound": "±1σ", "truth": "error"}
 _ALWAYS = ("certificate", "innovation", "parameters", "measurements", "timing")
-"""Concerns of diagnostics that are shown even if all is well."""
+"""Concerns of diagnostics that are shown even at level OK."""
 _DETAILS = ("received", "used", "rejected: ", "achieved rate", "measured rate", "tick time p99",
             "latency p99", "noise scale", "coloured power", "magnitude", "since")  # fmt: skip
-"""Beginnings of the values that are shown with a concern."""
+"""Beginnings of the names of values that are shown with a concern."""
 
 
 def picture(view: View) -> RenderableType:
@@ -46,7 +46,7 @@ def _heading(view: View) -> Text:
 
 
 def _table(title: str, rows: dict[str, dict[str, dict[str, float]]]) -> Table:
-    """Return a row per entry, with value, bound and error of each field as far as there are any."""
+    """Return a table with a row per entry: value, bound and error of each field, if present."""
     cells = [(field, what) for row in rows.values() for field, has in row.items() for what in has]
     columns = sorted(set(cells), key=lambda column: (column[0], list(_HEADINGS).index(column[1])))
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="dim")
@@ -60,7 +60,7 @@ def _table(title: str, rows: dict[str, dict[str, dict[str, float]]]) -> Table:
 
 
 def _number(has: dict[str, float], what: str) -> Text:
-    """Return a number; instead of the truth the error, marked beyond three bounds."""
+    """Return a number as text: for the truth its error, marked if beyond three bounds."""
     value = has.get(what, math.nan)
     if what == "truth":
         value = has["value"] - value
@@ -75,7 +75,7 @@ def _number(has: dict[str, float], what: str) -> Text:
 
 
 def _statuses(view: View) -> RenderableType:
-    """Return what is not well, and the most important of what is."""
+    """Return the concerns that are not OK, and the most important ones in any case."""
     table = Table.grid(padding=(0, 2))
     for name, status in view.statuses.items():
         if name != "state" and (status.level or name.rpartition(": ")[2] in _ALWAYS):

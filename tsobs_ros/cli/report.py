@@ -1,8 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs report`: page, figure and table of a recorded run, and other things to look at.
+"""`tsobs report`: page, figure and table of a recorded run; `tsobs paper` and `tsobs config`.
 
-`tsobs paper` regenerates the published method's figures, `tsobs config` names the shipped files.
+`tsobs paper` remakes the published method's figures, `tsobs config` prints the config folder.
 """
 
 import argparse

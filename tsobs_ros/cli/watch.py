@@ -18,7 +18,7 @@ from tsobs_ros.stop import signal_came
 if TYPE_CHECKING:
     from tsobs_ros.nodes.watcher import View
 
-# Time after the first diagnostics in which all else has come that there is [s].
+# Time after the first diagnostics within which everything else arrives [s].
 _ENOUGH = 1.0
 
 
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         nonlocal newest, live, seen
         newest, now = view, time.monotonic()
         if not once:
-            # Not before there is something to show: an error would go with the screen.
+            # Only once there is something to show: an earlier error would vanish with the screen.
             live = live or screen.enter_context(
                 Live(console=console, screen=True, auto_refresh=False)
             )

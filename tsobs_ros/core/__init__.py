@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled core: a C library that knows no ROS, no solver, no clock and no file."""
+"""The compiled core: a C library that uses no ROS, no solver, no clock and no file."""
 
 from importlib import import_module
 from pathlib import Path

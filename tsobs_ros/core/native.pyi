@@ -24,7 +24,7 @@ def layout(record: str, sizes: Numbers, /) -> list[tuple[str, str, int, int]]:
     """Return name, kind, rows and columns of the fields of a record, as layout.h has them."""
 
 def elementary(function: str, values: Numbers, /) -> None:
-    """Write a function of numbers over them; see `functions.evaluate`."""
+    """Replace numbers by a function of them; see `functions.evaluate`."""
 
 def weights_of_each(
     shapes: Numbers, parameters: Numbers, z: Numbers, weights: Numbers, r: int, q: int, /
@@ -44,10 +44,10 @@ def exported_seal(words: Numbers, /) -> None:
     """Write the head of an exported design, the first three words."""
 
 def exported_open(words: Numbers, /) -> int:
-    """Return the numbers of the room that a tracker of an exported design needs."""
+    """Return how many numbers of room a tracker of an exported design needs."""
 
 def tracker_room(model: Numbers, max_steps: int, /) -> int:
-    """Return the numbers of the room of a tracker with so many measurements; see tsobs.h."""
+    """Return how many numbers of room a tracker of `max_steps` measurements needs; see tsobs.h."""
 
 def history_offer(*arguments: Any) -> None:
     """Use measurements, or refuse them; see `offer` in tsobs.h."""
@@ -58,7 +58,7 @@ def history_estimate(*arguments: Any) -> bool:
 def history_advance(*arguments: Any) -> None:
     """Offer measurements and estimate at ticks; see `advance` in tsobs.h.
 
-    Trackers, whose records are in the first argument, a tuple, have an equal share of each array.
+    The first argument is a tuple with the trackers' records. All have equal shares of each array.
     """
 
 def estimator_correct(model: Any, states: Any, y: Any, corrections: Any, /) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""NumPy types of the records of the compiled core, made from the layouts that it states."""
+"""NumPy types of the records of the compiled core, made from the layouts that it declares."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -15,7 +15,7 @@ def record_type(
 ) -> Any:
     """Return the NumPy type of a record of some sizes.
 
-    Fields that are records themselves have the types of `inner`, a MATRIX one per row.
+    Fields that are records themselves have the types of `inner`; a MATRIX has one record per row.
     """
     nested = inner or {}
     fields: list[tuple[Any, ...]] = []

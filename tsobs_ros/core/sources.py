@@ -1,8 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A digest of the C sources, by which a core that was built from others is known.
+"""A digest of the C sources, which reveals a core that was built from other sources.
 
-setup.py runs this file when it builds the core, and the package when it loads it.
+setup.py runs this file when it builds the core, and the package does when it loads the core.
 """
 
 import hashlib

@@ -1,3 +1,3 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Certified gains: what is asked, synthesis (the only user of cvxpy), the proof and its file."""
+"""Certified gains: the request, its synthesis, the proof and the file. cvxpy is used only here."""

@@ -6,10 +6,10 @@ With X = P⁻¹, the gain K and every slope vertex j of the error system (A_j, Q
 
     A_j [(I − K C̄) X (I − K C̄)ᵀ + K R Kᵀ] A_jᵀ + Q_j ≺ λ² X ,   λ = e^{−ρT} ≤ 1 .
 
-Its left side is matrix-convex in each slope and each uncertain parameter of the prediction's two
-kicks, so the vertices cover every slope of the domain and, if that was asked for, every
-parameter within its bounds. Then an error covariance below X before a sample is below X before
-the next one, along every premise trajectory that is independent of the noise.
+The left side is matrix-convex in each slope and each uncertain parameter of the prediction's two
+kicks. So the vertices cover every slope of the domain and, if the request asks for it, every
+parameter within its bounds. An error covariance that is below X before a sample is then below X
+before the next one, along every premise trajectory that is independent of the noise.
 """
 
 import math
@@ -24,7 +24,7 @@ from tsobs_ros.errors import CertificateError
 from tsobs_ros.model.prediction import VertexSystem
 
 _ROUNDING = 100.0 * float(np.finfo(np.float64).eps)
-"""Relative error of a sum of n products of matrices, for each row, with a reserve of about 30."""
+"""Relative rounding error of the matrix products, per row, with a safety factor of about 30."""
 
 
 class Inequality(NamedTuple):
@@ -32,9 +32,9 @@ class Inequality(NamedTuple):
 
     Attributes:
         name: The claim.
-        where: The vertex, e.g. "slopes (0.732, 1)", or "" for one that has none.
-        margin: Smallest eigenvalue in coordinates in which X = I; per second for the decrease.
-        required: Bound on what rounding may have added to the margin, which must exceed it.
+        where: The vertex, e.g. "slopes (0.732, 1)"; "" for a claim without one.
+        margin: Smallest eigenvalue, of P with unit diagonal or of the decrease [1/s] with X = I.
+        required: Bound on the rounding error of the margin; the margin must exceed it.
     """
 
     name: str
@@ -55,12 +55,12 @@ class Inequality(NamedTuple):
 
 @dataclass(frozen=True)
 class CertificateReport:
-    """Every inequality of a certificate, and what follows when all of them hold.
+    """All inequalities of a certificate, and the decay rate that follows if they hold.
 
     Attributes:
         inequalities: The claims in the order they were checked.
-        contraction_rate: Certified decay [1/s] of the noise-free error in the norm eᵀPe, the
-            slowest vertex; NaN if P is not positive definite.
+        contraction_rate: Certified decay rate [1/s] of the noise-free error in the norm eᵀPe, at
+            the slowest vertex; NaN if P is not positive definite.
     """
 
     inequalities: tuple[Inequality, ...]
@@ -83,16 +83,16 @@ class CertificateReport:
 
     @property
     def worst(self) -> Inequality:
-        """The first inequality that fails, else the one nearest to what it requires.
+        """The first inequality that fails, else the one with the smallest relative margin.
 
-        Margins of different kinds have different units; their ratio to what is required has none.
+        Margins of different kinds have different units, so each is divided by its requirement.
         """
         if self.failing:
             return self.failing[0]
         return min(self.inequalities, key=lambda each: each.margin / (each.required or 1.0))
 
     def require(self, source: str) -> None:
-        """Raise `CertificateError` naming `source` and each failing inequality, if one fails."""
+        """Raise `CertificateError` if an inequality fails; it names `source` and all that fail."""
         if not self.holds:
             failing = "; ".join(map(str, self.failing))
             raise CertificateError(f"{source}: the certificate does not hold: {failing}")
@@ -101,10 +101,10 @@ class CertificateReport:
 def check_certificate(problem: AnyRequest, P: Array, K: Array) -> CertificateReport:
     """Check the certificate of gain K (n, p) and matrix P (n, n) from the problem's model alone.
 
-    P is scaled to unit diagonal, so that units do not matter. Its factor is then exact to n ε κ, κ
-    the condition number of the scaled matrix, and so is the decrease over a step; divided by the
-    period that is what a margin must exceed. `exact.verify_exactly` needs no such allowance. A
-    margin is NaN if the matrices leave the range of numbers; nothing is raised for one that fails.
+    P is scaled to unit diagonal, so that units do not matter. Its Cholesky factor is then exact to
+    n ε κ, with κ the condition number of the scaled matrix, and so is the decrease over a step. Its
+    margin must exceed that error divided by the period. `exact.verify_exactly` needs no such
+    allowance. A margin is NaN if the matrices overflow. An inequality that fails raises no error.
 
     Raises:
         ModelError: The request describes no model.
@@ -132,7 +132,7 @@ def check_certificate(problem: AnyRequest, P: Array, K: Array) -> CertificateRep
 def _check_vertex(
     problem: AnyRequest, root: Array, K: Array, vertex: VertexSystem
 ) -> tuple[str, float, float]:
-    """Return the vertex's name, its decrease over a step with X = I and its error's growth."""
+    """Return a vertex's name, the decrease over a step with X = I, and the growth of the error."""
     closed = vertex.transition @ (np.eye(K.shape[0]) - K @ problem.flow.output_matrix)
     # With P = L Lᵀ the error map is Lᵀ A (I − K C̄) L⁻ᵀ, and M L⁻ᵀ is the transpose of the
     # solution Z of L Z = Mᵀ.

@@ -1,22 +1,22 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate in exact rational arithmetic: no floating point number enters the verdict.
+"""The certificate in exact rational arithmetic: no floating-point number enters the verdict.
 
-The numbers of the model, P and K are floats, and every float is a fraction, so X = P⁻¹ and the
-claim of `certificate` can be written in fractions, up to three things that are not rational:
+The numbers of the model, P and K are floats, and every float is a fraction. So X = P⁻¹ and the
+claim of `certificate` can be written in fractions, except for three quantities:
 
-- the linear flow Φ = e^{AT} and its noise Q. They are enclosed by Taylor polynomials in fractions
-  with a bound d on each entry of what the error makes of Φ W Φᵀ + Q; a symmetric error with
-  entries up to d is ⪯ n d I (Gershgorin), so n d I is added as if it were process noise;
+- the linear flow Φ = e^{AT} and its noise Q. Taylor polynomials in fractions enclose them, with a
+  bound d on the error of each entry of Φ W Φᵀ + Q. A symmetric error with entries up to d is
+  ⪯ n d I (Gershgorin), so n d I is added like process noise;
 - cos x_max, replaced by a fraction just below it: a slightly larger domain;
 - e^{−2ρT}, replaced by a fraction just below it: a slightly faster decay.
 
-A symmetric matrix of fractions is positive definite if and only if all pivots of its LDLᵀ are
-positive, which integers decide. The margins are proved as well: μ is printed only if the inequality
-still holds with μ X a second taken away. Candidates for μ come from the check in floating point;
-the proof does not rely on them.
+A symmetric matrix of fractions is positive definite if and only if all pivots of its LDLᵀ
+factorisation are positive. Integer arithmetic decides this. The margins are proved, too: μ is
+printed only if the inequality still holds after μ X per second is subtracted. Candidates for μ come
+from the floating-point check; the proof does not rely on them.
 
-A and the noise are those that the observer's own model has. Memberships do not enter: every blend
+A and the noise are those of the observer's own model. Memberships do not enter, because every blend
 of the vertices is covered.
 """
 
@@ -44,21 +44,21 @@ _SHARES = (1.0 - 2.0**-20, 1.0 - 2.0**-10, 1.0 - 2.0**-4, 0.5, 0.1, 1e-3, 1e-6)
 """Shares of the floating-point margin that are tried, in this order, until one is proved."""
 
 _LEAST_MARGIN = 1e-300
-"""Margin of what is positive definite by less than any of them."""
+"""Last candidate, for a matrix that is positive definite by less than all of these shares."""
 
 
 class Enclosure(NamedTuple):
-    """A matrix each of whose entries is within `radius` of that of `centre`."""
+    """A matrix whose entries differ from those of `centre` by at most `radius`."""
 
     centre: Rational
     radius: Fraction
 
 
 def verify_exactly(design: Design) -> CertificateReport:
-    """Return every inequality of a design with a margin that is proved exactly, 0 if it is not.
+    """Return every inequality of a design with an exactly proved margin, or 0 without a proof.
 
     Raises:
-        ModelError: The model is so fast for the period that its flow cannot be enclosed.
+        ModelError: The model is too fast for the period, so its flow cannot be enclosed.
     """
     report, P = design.certificate, rational(design.P)
     guesses = {(each.name, each.where): each.margin for each in report.inequalities}
@@ -74,7 +74,7 @@ def verify_exactly(design: Design) -> CertificateReport:
 
 
 def _margin(matrix: Rational, unit: Rational, guess: float) -> float:
-    """Return a number μ > 0, printed with four digits and no more, with matrix − μ unit ≻ 0."""
+    """Return a μ > 0 of four decimal digits with matrix − μ unit ≻ 0, or 0 if none is found."""
     if is_positive_definite(matrix):
         for candidate in (*(share * guess for share in _SHARES), _LEAST_MARGIN):
             text = f"{candidate:.3e}"
@@ -84,10 +84,10 @@ def _margin(matrix: Rational, unit: Rational, guess: float) -> float:
 
 
 def _decreases(design: Design) -> Iterator[tuple[str, Rational, Rational]]:
-    """Yield each vertex, λ²X less an upper bound on the covariance after a step from X, and T X.
+    """Yield each vertex, λ²X minus an upper bound on the covariance a step after X, and T X.
 
-    They are in coordinates scaled by powers of two. Any scale is as good for the claim; this one
-    keeps the flow's norm small.
+    Coordinates are scaled by powers of two. The scale does not affect the claim; this one keeps the
+    norm of the flow small.
     """
     request, period = design.request, 1 / Fraction(design.request.rate)
     drift, duration = request.flow.drift, Fraction(request.flow.linear_share) * period
@@ -118,10 +118,10 @@ def _decreases(design: Design) -> Iterator[tuple[str, Rational, Rational]]:
 def _after_system_step(
     phi: Enclosure, noise: Enclosure, T: Fraction, first: Rational, second: Rational, W: Rational
 ) -> Rational:
-    """Return an upper bound on the covariance after a system's step from W."""
+    """Return an upper bound on the covariance after a T–S system's step from W."""
     one = np.eye(len(W), dtype=object)
     kick, drive, spread = one + T / 2 * first, T * second, one + T * second
-    # Each entry of M Δ N is at most the row sum of M times the column sum of N times ΔΦ's.
+    # Each entry of M ΔΦ N is at most (row sum of M) (largest entry of ΔΦ) (column sum of N).
     radius = phi.radius * (1 + _row_sum(drive) * _row_sum(kick.T))
     middle = Enclosure(phi.centre + drive @ phi.centre @ kick, radius)
     half = Enclosure(spread @ noise.centre @ spread.T, noise.radius * _row_sum(spread) ** 2)
@@ -129,7 +129,7 @@ def _after_system_step(
 
 
 def _bounded(phi: Enclosure, noise: Enclosure, W: Rational) -> Rational:
-    """Return an upper bound, in the order of matrices, on Φ W Φᵀ + Q for all enclosed Φ and Q."""
+    """Return an upper bound (in the sense of ⪯) on Φ W Φᵀ + Q for all enclosed Φ and Q."""
     n = len(W)
     largest = np.abs(phi.centre).max() + phi.radius
     # Each entry of ΔΦ W Φᵀ + Φ̃ W ΔΦᵀ is at most twice this sum of n² products.
@@ -139,7 +139,7 @@ def _bounded(phi: Enclosure, noise: Enclosure, W: Rational) -> Rational:
 
 
 def rational(values: Any) -> Rational:
-    """Return numbers as the fractions they are; every float is one."""
+    """Return numbers as exact fractions; every float is a fraction."""
     array = np.asarray(values, dtype=object)
     return np.vectorize(Fraction, otypes=[object])(array) if array.size else array
 
@@ -147,8 +147,8 @@ def rational(values: Any) -> Rational:
 def is_positive_definite(matrix: Rational) -> bool:
     """Return whether every pivot of M = L D Lᵀ is positive, for a symmetric M.
 
-    M is brought to integers by a common denominator and eliminated without fractions (Bareiss);
-    the diagonal then holds the leading principal minors, whose ratios are the pivots.
+    A common denominator turns M into integers. Fraction-free elimination (Bareiss) then leaves the
+    leading principal minors on the diagonal, and the pivots are their ratios.
     """
     common = math.lcm(*(entry.denominator for entry in matrix.flat))
     rest = np.vectorize(int, otypes=[object])(matrix * common)
@@ -186,13 +186,13 @@ def noise_integral(matrix: Rational, density: Rational) -> Enclosure:
 
 
 def cosine_below(angle: Fraction) -> Fraction:
-    """Return a fraction below cos x, and hardly less."""
+    """Return a fraction just below cos x."""
     turn = exponential(np.array([[Fraction(0), -angle], [angle, Fraction(0)]], dtype=object))
     return Fraction(turn.centre[0, 0] - turn.radius)
 
 
 def decay_below(exponent: Fraction) -> Fraction:
-    """Return a fraction below e^{−x}, and hardly less."""
+    """Return a fraction just below e^{−x}."""
     decay = exponential(np.array([[-exponent]], dtype=object))
     return Fraction(decay.centre[0, 0] - decay.radius)
 
@@ -202,10 +202,10 @@ def _series(
 ) -> Enclosure:
     """Return an enclosure of Σ tₖ with tₖ = operator(tₖ₋₁)/k for k = `first`, `first` + 1, …
 
-    All bounds are in the norm of the largest row sum, in which `growth` bounds the operator.
-    Every term is rounded to `bits` binary places, or its fractions would grow without end; an
-    error of one term reaches the next multiplied by growth/k. Once growth/k ≤ 1/2, all that is
-    left out is at most as large as the last term.
+    All bounds are in the maximum row sum norm, in which `growth` bounds the operator. Every term
+    is rounded to `bits` binary places, because its fractions would otherwise grow without end. The
+    error of a term enters the next one multiplied by growth/k. Once growth/k ≤ 1/2, all omitted
+    terms together are at most as large as the last one.
     """
     if growth > _LARGEST_GROWTH:
         raise ModelError(

@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Detectability: the modes that outputs do not show.
+"""Detectability: the modes that the outputs do not show.
 
-A mode of eigenvalue λ is hidden if a vector v other than zero has (A − λI) v = 0 and C̄ v = 0
-(Popov–Belevitch–Hautus). Of an arm, A depends on the gravity slope c. Only λ of an exosystem, or 0,
-can persist. The slope enters one row alone, so the vectors that the other rows leave are found
-first, and that row then gives the slope.
+A mode with eigenvalue λ is hidden if a vector v ≠ 0 satisfies (A − λI) v = 0 and C̄ v = 0
+(Popov–Belevitch–Hautus). For an arm, A depends on the gravity slope c, and only 0 and the
+eigenvalues of an exosystem can persist. The slope enters a single row. So the null space of the
+other rows is found first, and that row then gives the slope.
 """
 
 import math
@@ -21,10 +21,10 @@ from tsobs_ros.errors import DetectabilityError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE
 
 _PERSISTENT = -1e-9
-"""Real parts above this [1/s] do not decay: the mode would outlive the robot."""
+"""A mode whose real part is above this [1/s] counts as lasting: it would outlive the robot."""
 
 _TOLERANCE = 1e-9
-"""Relative size of numbers that count as zero, and by which a slope may leave the domain."""
+"""Relative size below which numbers count as zero, and by which a slope may leave the domain."""
 
 Complex = NDArray[np.complex128]
 
@@ -35,8 +35,8 @@ class HiddenMode(NamedTuple):
     Attributes:
         eigenvalue: λ [1/s].
         shape: The unit vector v with A v = λ v and C v = 0, shape (n,).
-        slope: Gravity slope of an arm at which it is hidden, None if at any.
-        text: The mode in words: its place, what cannot be distinguished, λ and shape.
+        slope: Gravity slope of an arm at which the mode is hidden; None if at every slope.
+        text: The mode in words: its place, the motions that look alike, λ and shape.
     """
 
     eigenvalue: complex
@@ -48,8 +48,8 @@ class HiddenMode(NamedTuple):
 def undetectable_modes(A: Array, C: Array) -> list[HiddenMode]:
     """Return the modes of A that C does not see and that do not decay: no observer converges.
 
-    Equal eigenvalues count once: of several hidden directions that share one, the best hidden
-    is returned.
+    Equal eigenvalues count once: if several hidden directions share an eigenvalue, the best hidden
+    one is returned.
     """
     modes, eigenvalues = list[HiddenMode](), np.linalg.eigvals(A)
     slowest = _PERSISTENT * float(np.abs(eigenvalues).max(initial=1.0))
@@ -77,8 +77,8 @@ def _format_complex(value: complex, style: str) -> str:
 def find_obstacles(request: AnyRequest) -> list[HiddenMode]:
     """Return the undetectable modes, one of each conjugate pair.
 
-    An arm's are those on its domain. Of a T–S system every vertex is tested by itself. That all of
-    them pass is necessary; only the synthesis shows whether what lies between them passes too.
+    For an arm, these are the modes at slopes of its domain. For a T–S system, every vertex is
+    tested by itself. All must pass, and only the synthesis shows whether their blends pass, too.
     """
     if isinstance(request, ArmRequest):
         return list(_of_arm(request))
@@ -111,7 +111,7 @@ def require_detectable(request: AnyRequest) -> None:
 
 
 def _of_arm(request: ArmRequest) -> Iterator[HiddenMode]:
-    """Yield the modes in which disturbances take back the arm's motion, or each other."""
+    """Yield the modes in which disturbances cancel the arm's motion, or each other."""
     flow, (lowest, highest) = request.flow, request.slope_range
     persistent, pull = [0j], request.arm.gravity_gain
     for eigenvalue in np.linalg.eigvals(flow.disturbance.S).astype(complex).tolist():
@@ -127,7 +127,7 @@ def _of_arm(request: ArmRequest) -> Iterator[HiddenMode]:
         if not kernel.size:
             continue
         rounding = 1e-14 * np.abs(A[LINK_VELOCITY]).max() * np.abs(kernel).max()
-        if kernel.shape[1] > 1:  # one combination of them at every slope
+        if kernel.shape[1] > 1:  # some combination of them is hidden at every slope
             balance = (force - highest * pull * height)[np.newaxis]
             kernel = kernel @ np.linalg.svd(balance)[2][-1:].conj().T
         elif pull and abs(height[0]) > _TOLERANCE * np.abs(kernel[:, 0]).max():
@@ -142,7 +142,7 @@ def _of_arm(request: ArmRequest) -> Iterator[HiddenMode]:
 
 
 def _kernel(matrix: Complex) -> Complex:
-    """Return the null space of a matrix whose rows and columns have any units, shape (n, d)."""
+    """Return the null space of a matrix with rows and columns of any units, shape (n, d)."""
     scale = np.ones(matrix.shape[1])
     matrix = matrix[np.abs(matrix).any(axis=1)]
     for _ in range(30):
@@ -158,7 +158,7 @@ def _kernel(matrix: Complex) -> Complex:
 def _obstacle(
     request: ArmRequest, slope: float | None, eigenvalue: complex, shape: Complex
 ) -> HiddenMode:
-    """Return a mode with its place and all that moves in it, in words."""
+    """Return a mode, with its place and everything that moves in it described in words."""
     place = "at every gravity slope" if request.arm.gravity_torque else "without gravity"
     if slope is not None:
         # cos(π/2) is 6e-17 in floating point.
@@ -172,7 +172,7 @@ def _obstacle(
     parties = [f"the arm's {'motion' if abs(eigenvalue) > 1e-6 else 'position'}"] * bool(moves)
     for channel in request.channels:
         model, end = channel.model, begin + channel.model.state_count
-        # Without a motion of the arm, states of a disturbance take back each other.
+        # If the arm does not move, states of the disturbances cancel each other.
         share = model.H[0] @ unit[begin:end] / size if moves else np.abs(unit[begin:end]).sum()
         kinds = [model.label] if moves else model.label.split("+")
         parties += [f"the {kind} of {channel.name}" for kind in kinds if abs(share) > _TOLERANCE]

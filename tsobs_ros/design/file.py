@@ -3,8 +3,8 @@
 """Design and request files: plain, versioned YAML that people can read.
 
 Floats are written with the shortest text that reads back to the same number, so a design that
-was saved and loaded is the same design to the last bit. Loading re-checks the certificate. A file
-about a T–S system given by its matrices has a top-level `system`, one about an arm has not.
+was saved and loaded is the same design to the last bit. Loading re-checks the certificate. The
+file of a T–S system given by its matrices has a top-level `system`; the file of an arm has none.
 """
 
 import hashlib
@@ -34,17 +34,17 @@ Value: TypeAlias = bool | int | float | str
 
 VERSION = 1
 _ANSWER = ("gain", "certificate", "solver")
-"""What a design file has beside its request."""
+"""Entries of a design file besides its request."""
 _ARM_PARAMETERS = ("link_inertia", "motor_inertia", "stiffness", "gravity_torque")
-"""Those of an arm that have no default in a file; dampings are 0."""
+"""Parameters of an arm that have no default in a file; dampings default to 0."""
 IDENTITY_LENGTH = 12
-"""Digits of a checksum that people are shown."""
+"""Number of digits of a checksum that are shown to people."""
 _ARM, _SYSTEM = "tsobs_ros design", "tsobs_ros T-S design"
 _BESIDE_SYSTEM = (
     "names", "units", "disturbance", "process_noise", "measurement_std", "rate", "decay_rate",
     "initial_std", "certify_uncertainty", "D_s", "uncertainty",
 )  # fmt: skip
-"""What the file of a T–S system has beside it, in this order: the rest of its request."""
+"""Entries in the file of a T–S system besides `system`, in this order: the rest of its request."""
 _HEADERS = {
     _ARM: """\
 # A certified observer design for an arm with an elastic joint, made by `tsobs design`.
@@ -70,7 +70,7 @@ def save_design(design: Design, path: FilePath) -> None:
 
 
 def design_text(design: Design) -> str:
-    """Return the content of a design's file: as it was loaded, else as it would be written."""
+    """Return the content of a design's file: the text as loaded, else the text to be written."""
     if design.source:
         return design.source
     request = design.request
@@ -98,13 +98,13 @@ def load_design(path: FilePath | None = None, text: str | None = None) -> Design
 
     Args:
         path: The file; None for the design that comes with the package.
-        text: Its content, if that is known already.
+        text: Content of the file, if it is known already.
 
     Raises:
-        DesignFileError: The file is missing, too large, not YAML, or not a design; the text
-            names the entry, what was expected and what came.
-        CertificateError: The certificate does not hold; the text names each inequality, its
-            vertex and its margin.
+        DesignFileError: The file is missing, too large, not YAML, or not a design; the message
+            names the entry, the expected value and the actual one.
+        CertificateError: The certificate does not hold; the message names each failing
+            inequality, its vertex and its margin.
 
     >>> load_design().certificate.holds
     True
@@ -120,7 +120,7 @@ def checksum(design: Design) -> str:
 
 
 def identity(design: Design) -> str:
-    """Return the beginning of that, for people."""
+    """Return the first digits of a design's checksum, for people."""
     return checksum(design)[:IDENTITY_LENGTH]
 
 
@@ -143,11 +143,11 @@ class PublishedDesign:
 
 @dataclass(kw_only=True)
 class ObserverRecord:
-    """What an observer runs: the full name of its measurements' topic, designs, and parameters that
-    decide estimates.
+    """Configuration of a running observer: the full name of its measurement topic, its designs, and
+    the parameters that affect estimates.
 
-    The node publishes it as JSON on its topic `design`, latched, so that a bag has all that its
-    estimates were made with. Files are in it to the byte, for their checksum and strict loader.
+    The node publishes it as JSON on its latched topic `design`, so that a bag holds everything that
+    its estimates were made with. It has design files to the byte, for checksum and strict loader.
     """
 
     format: str = "tsobs_ros observer"
@@ -163,7 +163,7 @@ def record_text(
     designs: Sequence[Design],
     parameters: Mapping[str, Value],
 ) -> str:
-    """Return the text of a record, from each joint's name and design."""
+    """Return the text of a record, made from each joint's name and design."""
     published: dict[tuple[str, str], PublishedDesign] = {}
     for joint, design in zip(joints, designs, strict=True):
         key = design.file, design_text(design)
@@ -175,10 +175,10 @@ def record_text(
 
 
 def read_record(text: str) -> ObserverRecord:
-    """Return the record in a text that anybody may have written; designs are not looked into.
+    """Return the record in a text from any source; the designs in it are not checked.
 
     Raises:
-        DesignFileError: The text is too large, or no record.
+        DesignFileError: The text is too large or not a record.
     """
     if len(text) > MAX_BYTES:
         raise DesignFileError(f"larger than {MAX_BYTES} bytes")
@@ -195,7 +195,7 @@ def read_record(text: str) -> ObserverRecord:
 
 
 def parse_design(path: FilePath, text: str | None = None) -> Design:
-    """Read a design file without judging its certificate; else as `load_design`."""
+    """Read a design file like `load_design`, but without judging its certificate."""
     text = read_text(path) if text is None else text
     data = yaml_mapping(text, path)
     if "format" not in data and "certificate" not in data:
@@ -220,16 +220,16 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
         design = Design(request, P, K.reshape(n, p), answer.solver)
         object.__setattr__(design, "file", str(path))
         object.__setattr__(design, "source", text)
-        # Evaluated here, so that numbers no proof can be made of are refused with the file's name.
+        # Evaluated here, so that the error for numbers that allow no proof names the file.
         _ = design.certificate
         return design
 
 
 def load_request(path: FilePath) -> AnyRequest:
-    """Read the request that `tsobs design` answers from a commented YAML file.
+    """Read a request for `tsobs design` from a YAML file, which may have comments.
 
-    The arm's entries may stand alone or under `design`; what is left out keeps its default, but
-    of an arm that is given only the dampings may be left out.
+    The entries of an arm's request may stand alone or under `design`. Omitted entries keep their
+    defaults, but if an `arm` is given, only its dampings may be omitted.
 
     Raises:
         DesignFileError: As for `load_design`, or the file is a design.
@@ -253,17 +253,17 @@ def load_request(path: FilePath) -> AnyRequest:
             data = data if "design" in data else {"design": data}
             request = _arm_request(data)
             arm = data["design"].get("arm", _ARM_PARAMETERS)
-            # In silence the shipped arm's would be taken for one that is not like it at all.
+            # Otherwise the shipped arm's numbers would silently stand for a very different arm's.
             if missing := [name for name in _ARM_PARAMETERS if name not in arm]:
                 expected = f"missing; an arm has all of {', '.join(_ARM_PARAMETERS)}"
                 raise DesignFileError(f"design.arm.{missing[0]}: {expected}")
             if 0.0 in (request.torque_limit, request.torque_rate_limit):
-                # The observer's parameter of this name means the design's by 0.
+                # The observer has a parameter of the same name, where 0 means the design's limit.
                 raise DesignFileError(
                     "torque_limit, torque_rate_limit: expected numbers above 0, got 0.0; left out "
                     "they are generous for any arm, and 1e9 is no limit"
                 )
-        # Built here, so that a request no model can be made of is refused with the file's name.
+        # Built here, so that the error for a request without a valid model names the file.
         _ = request.flow
         return request
 
@@ -290,7 +290,7 @@ class _Certificate:
 
 @dataclass
 class _Answer:
-    """What a design file has beside its request."""
+    """The entries of a design file besides its request."""
 
     gain: _Gain
     certificate: _Certificate
@@ -320,7 +320,7 @@ class _Rule:
     C: Array | None = None
 
     def memberships(self, premises: Collection[str]) -> Iterator[Membership]:
-        """Yield the memberships of all premises; one that the rule leaves out is always met."""
+        """Yield the memberships of all premises; a premise that the rule omits is always met."""
         check_names("if", self.if_, premises)
         for name in premises:
             with within(f"if.{name}"):
@@ -338,7 +338,7 @@ class _System:
     slope_vertices: list[Array] = field(default_factory=list)
 
     def model(self) -> TSModel:
-        """Return the system; matrices of other shapes raise `ModelError`."""
+        """Return the model; matrices of wrong shapes raise `ModelError`."""
         for name in ("rules", "premises"):
             if not getattr(self, name):
                 raise ValueError(f"{name}: expected at least one")
@@ -383,7 +383,7 @@ def _system_request(data: dict[Any, Any]) -> TSRequest:
 
 
 def _system_entries(request: TSRequest) -> dict[str, Any]:
-    """Return the system of a request as files have it."""
+    """Return the system of a request in the form that files have."""
     model, names = request.model, [f"z{j + 1}" for j in range(len(request.model.premise))]
     premises = zip(names, model.premise, model.schedule, strict=True)
     rules: list[dict[str, Any]] = [

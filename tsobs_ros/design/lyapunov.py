@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Lyapunov matrices of several systems at once, by semidefinite programming (cvxpy with Clarabel).
+"""Common Lyapunov matrices of several systems, by semidefinite programming (cvxpy with Clarabel).
 
-A common P ≻ 0 with AᵢᵀP + PAᵢ ≺ 0 for every i exists or it does not, and either answer is proved
-by a matrix that is re-checked by eigenvalues:
+A common P ≻ 0 with AᵢᵀP + PAᵢ ≺ 0 for every i either exists or not. Matrices prove either answer,
+and their eigenvalues are re-checked:
 
     yes:  P itself
     no:   Zᵢ ⪰ 0, not all zero, with Σ AᵢZᵢ + ZᵢAᵢᵀ ⪰ 0, because then
@@ -19,17 +19,17 @@ from tsobs_ros.checks import Array
 from tsobs_ros.errors import DesignError
 
 _WEIGHT = 1e-2
-"""w, for which the smallest matrix is sought."""
+"""The weight w of the gains in `smallest_lyapunov`."""
 
 _UNDECIDED = 1e-7
 """Relative eigenvalue below which a matrix proves neither answer."""
 
 
 class CommonLyapunov(NamedTuple):
-    """P of shape (n, n) with trace n, or the proof that there is none: Z of (r, n, n), traces 1.
+    """P, shape (n, n), of trace n, or a proof that there is none: Z, shape (r, n, n), of traces 1.
 
-    `margin` is the largest eigenvalue of AᵢᵀP + PAᵢ, negative; or the smallest of Σ AᵢZᵢ + ZᵢAᵢᵀ,
-    not negative but for rounding.
+    `margin` is the largest eigenvalue of all AᵢᵀP + PAᵢ, which is negative; or the smallest one of
+    Σ AᵢZᵢ + ZᵢAᵢᵀ, which is not negative except for rounding.
     """
 
     margin: float
@@ -80,8 +80,8 @@ def refutation_margin(A: Array, Z: Array) -> float:
 def smallest_lyapunov(M: Array, C: Array, D: Array) -> tuple[Array, Array]:
     """Return P ⪰ I and Qᵢ with sym(P Mᵢ − Qᵢ C) + D ⪯ 0 and the least tr P + w Σ ‖Qᵢ‖².
 
-    Here sym(X) = X + Xᵀ, M has the shape (r, n, n), C (p, n), and D, the inequalities' margin,
-    (n, n). Qᵢ enters only through QᵢC and could grow without bound, which the weight prevents.
+    Here sym(X) = X + Xᵀ. M has the shape (r, n, n), C (p, n), and D, the inequalities' margin,
+    (n, n). Qᵢ enters only as QᵢC and could grow without bound; the weight w prevents that.
 
     Returns:
         P of shape (n, n) and Q of shape (r, n, p).

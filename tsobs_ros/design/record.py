@@ -25,10 +25,10 @@ from tsobs_ros.model.matrices import inverse
 
 @dataclass(frozen=True)
 class SolverReport:
-    """The solver that computed the matrices; for the record only, nothing is trusted because of it.
+    """The solver that computed the matrices, for information only; no check relies on it.
 
-    `iterations` are those of its last solve, `seconds` the time of the synthesis, and `margin` the
-    extra noise it was asked to allow for, as a fraction of the bound per second.
+    `iterations` are those of the last solve, `seconds` is the duration of the synthesis, and
+    `margin` is the extra noise that was assumed, as a fraction of the bound per second.
     """
 
     name: str = ""
@@ -44,16 +44,16 @@ class Design:
     """A gain with its proof, for an arm or for a T–S system.
 
     Attributes:
-        request: What was asked.
+        request: The request that the design answers.
         P: Certificate matrix, shape (n, n), in design coordinates; X = P⁻¹ bounds the error
             covariance before each sample.
         K: Filter gain, shape (n, p).
-        solver: Who computed P and K.
-        file: The file that it was loaded from; a changed copy has none.
-        source: The text of that file, empty without one.
+        solver: The solver that computed P and K.
+        file: The file that the design was loaded from; a changed copy has none.
+        source: The text of that file; empty if there is none.
 
     Raises:
-        ModelError: A matrix is not finite or of the wrong shape, or a disturbance is arbitrary.
+        ModelError: A matrix is not finite or has the wrong shape, or a disturbance is arbitrary.
 
     >>> from tsobs_ros.design.file import load_design
     >>> from tsobs_ros.resources import config_path
@@ -114,12 +114,12 @@ class Design:
     def late_factor(self) -> float:
         """ν with A X Aᵀ + Q ⪯ ν² X at all vertices of steps up to a period, rounded up to 10⁻⁴.
 
-        An error covariance below X when a sample is due is below ν² X until a period later, if the
-        sample does not come: the left side is matrix-convex in the slopes, as the certificate's.
-        The digits are few so that they are the same on every CPU.
+        If a sample does not come, an error covariance that is below X at its due time stays below
+        ν² X for one more period, since the left side is matrix-convex in the slopes, like the
+        certificate's. Rounding makes ν the same on every CPU.
         """
         root, worst = np.linalg.cholesky(self.covariance_bound), 1.0
-        for share in (0.25, 0.5, 0.75, 1.0):  # of a period that the sample is late
+        for share in (0.25, 0.5, 0.75, 1.0):  # lateness of the sample in periods
             for vertex in self.request.at_rate(self.request.rate / share).vertices():
                 moved = np.linalg.solve(root, vertex.transition @ root)
                 noise = np.linalg.solve(root, np.linalg.solve(root, vertex.noise).T)
@@ -129,7 +129,7 @@ class Design:
 
     @property
     def bound_std(self) -> Array:
-        """Certified 1σ of the plant's states in physical units and of the disturbance's, (n,)."""
+        """Certified 1σ of the plant's (in physical units) and the disturbance's states, (n,)."""
         std = np.sqrt(np.diag(self.covariance_bound))
         plant = self.request.flow.to_physical(std)
         return np.concatenate([plant, std[plant.size :]])
@@ -143,14 +143,14 @@ class Design:
         adapt: bool = False,
         supervision: SupervisionOptions | None = None,
     ) -> Estimator:
-        """Return the observer this design is for.
+        """Return the observer of this design.
 
         Args:
             settle_time: Riccati gains are used for this long after a (re)start [s].
-            gain_mode: Whether the certified gain takes over afterwards.
+            gain_mode: "certified" if the certified gain takes over afterwards, else "riccati".
             torque_rate: 1σ of the rate at which an arm's torque may move in a gap [N m/s].
             adapt: Whether to learn the parameters that the request calls uncertain, if any.
-            supervision: When samples are not used, output by output; None: all are.
+            supervision: Rules for leaving out samples, output by output; None: all are used.
         """
         request = self.request
         learnt = request.uncertainty_model if adapt and request.uncertainty_model.count else None
@@ -192,7 +192,7 @@ class Design:
 
     @property
     def plain_gain(self) -> list[Any]:
-        """K as plain data: a list of numbers for an arm of one output, else of rows."""
+        """K as plain data: a list of numbers for an arm with one output, else a list of rows."""
         is_list = isinstance(self.request, ArmRequest) and self.K.shape[1] == 1
         plain: list[Any] = (self.K[:, 0] if is_list else self.K).tolist()
         return plain

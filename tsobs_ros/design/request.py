@@ -1,12 +1,12 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Requests: the model, the disturbance, the noise, the domain and the rate a gain is wanted for.
+"""Requests: the model, disturbance, noise, domain and rate for which a gain is wanted.
 
-What a certificate covers depends on the premise. The arm's gravity slopes cover it always. If a
-T–S system's premise is known (made of scheduled signals), the error system is a blend of the rules
-and their matrices are the vertices. If it is the estimate, the weights of truth and estimate
-differ; then matrices whose hull holds the Jacobian of f on the domain, `slope_vertices`, cover the
-error exactly. Without them only the blend of the rules is proved, and `TSRequest.claim` says so.
+The coverage of a certificate depends on the premise. For an arm, the gravity slopes always cover
+it. If a T–S system's premise is known (made of scheduled signals), the error system is a blend of
+the rules, whose matrices are the vertices. If it is the estimate, truth and estimate have different
+weights. Then `slope_vertices`, matrices whose hull holds the Jacobian of f on the domain, cover the
+error exactly. Without them only the blend of the rules is proved, which `TSRequest.claim` states.
 """
 
 import math
@@ -65,10 +65,10 @@ __all__ = [
 ]
 
 NO_LIMIT = 1e9
-"""A torque [N m], or rate of it [N m/s]; a limit from it on counts as none."""
+"""A limit of a torque [N m] or of its rate [N m/s] counts as none if it is this large or larger."""
 
 _MAX_MATRICES = 16
-"""Vertex matrices; l of them make l² inequalities."""
+"""Largest number of vertex matrices; l matrices make l² inequalities."""
 
 _MOTION: tuple[Field, Field] = ("position", "velocity")
 
@@ -77,7 +77,7 @@ Terms: TypeAlias = Sequence[DisturbanceTerm]
 
 @dataclass(frozen=True)
 class Channel:
-    """A disturbance: where it acts, in words, and its terms."""
+    """A disturbance: the place where it acts, in words, and its terms."""
 
     name: str
     terms: Terms
@@ -89,14 +89,14 @@ class Channel:
 
 
 def require_squares(name: str, values: Iterable[float]) -> None:
-    """Refuse what is not above zero, or leaves the range of numbers once squared, as filters do."""
+    """Refuse values unless they are above zero and have squares above zero that do not overflow."""
     for value in values:
         if not 0.0 < positive(name, value) * value < math.inf:
             raise ModelError(f"{name}: expected a number with a finite square, got {value!r}")
 
 
 class Request(ABC):
-    """What requests of both kinds have, for an arm and for a T–S system; see `AnyRequest`.
+    """Base of the requests of both kinds, for an arm and for a T–S system; see `AnyRequest`.
 
     Attributes:
         rate: Samples per second [Hz].
@@ -106,19 +106,19 @@ class Request(ABC):
         channels: The disturbances of the outputs, then those of torques, with or without terms.
         disturbance_model: The exosystem of the outputs' disturbances.
         uncertainty_model: The uncertain parameters; their number is 0 if there are none.
-        output_std: 1σ of one sample's noise of each output, shape (p,).
+        output_std: 1σ of the noise of one sample of each output, shape (p,).
         plant_std: 1σ of the plant's states before any measurement, in design coordinates.
         state_names: Names of the plant's states.
-        state_units: Their units, empty texts if they are not known; likewise those below.
+        state_units: Units of these, empty texts if they are not known; likewise the other units.
         output_names: Names of the p outputs.
         input_names: Names of the inputs and then of the scheduled signals.
         headline: The problem in words, for reports.
-        claim: What of it a certificate covers, in words.
+        claim: The part of the problem that a certificate covers, in words.
         domain: The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]".
         max_angle: Half width of the domain of an arm's link angle [rad], infinite if there is none.
-        reach: Largest states of an arm that are likely (rad, rad/s), shape (4,); None of a system.
+        reach: Largest likely states of an arm (rad, rad/s), shape (4,); None for a T–S system.
         torque_sides: The sides of an arm with a torque disturbance, "motor" before "link".
-        starts: Shares of the domain whose Kalman filters are first guesses, the best first.
+        starts: Shares of the domain at which Kalman filters give first guesses, the best first.
     """
 
     rate: float
@@ -148,20 +148,20 @@ class Request(ABC):
     def corners(self, share: float = 1) -> Iterable[Corner]:
         """Return the corners of a share of the domain and of the certified uncertainty.
 
-        Share 0 is the middle, of an arm the nominal one hanging down; 1 is all that was asked for.
+        Share 0 is the middle (for an arm, the nominal arm hanging down); 1 is the whole request.
         """
 
     @abstractmethod
     def signals(self, joint: str, alone: bool, both_sides: bool = False) -> Signals:
         """Return the places of a joint's signals in measurements and estimates.
 
-        The joint's name is before those of a T–S system's entries if it is not alone in its node.
-        An arm may have encoders on both sides although its design measures one.
+        The entries of a T–S system begin with the joint's name if the joint is not alone in its
+        node. An arm may have encoders on both sides although its design measures only one.
         """
 
     @abstractmethod
     def at_rate(self, rate: float) -> Self:
-        """Return the request for the error systems of another rate [Hz], without delays."""
+        """Return the request at another rate [Hz] and without delays, for its error systems."""
 
     @abstractmethod
     def with_terms(self, place: int, terms: Terms) -> Self:
@@ -169,14 +169,14 @@ class Request(ABC):
 
     @abstractmethod
     def on_share(self, share: float) -> tuple[str, Self] | None:
-        """Return the request on a share of its domain, in words too; None if it has none."""
+        """Return the request on a share of its domain, with a text; None without a domain."""
 
     def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits | None:
-        """Return which torques a drive of the arm can have; None for a T–S system."""
+        """Return the limits of a plausible torque; None for a T–S system."""
         return None
 
     def vertices(self, share: float = 1) -> list[VertexSystem]:
-        """Return the error systems that the certificate of a share of the domain is about."""
+        """Return the error systems that a certificate on a share of the domain covers."""
         return self.flow.vertices(self.corners(share))
 
     @property
@@ -193,7 +193,7 @@ class Request(ABC):
 
     @property
     def disturbance_labels(self) -> list[str]:
-        """The disturbances' states in words."""
+        """Names of the disturbances' states, in words."""
         return [
             f"disturbance of {channel.name}, state {i + 1}"
             for channel in self.channels
@@ -209,7 +209,7 @@ class Request(ABC):
     def initial_covariance(self) -> Array:
         """Error covariance before any measurement in design coordinates, shape (n, n)."""
         std = self.plant_std, self.flow.disturbance.initial_std
-        with np.errstate(over="ignore"):  # what is not finite is refused by the observer
+        with np.errstate(over="ignore"):  # the observer refuses a matrix that is not finite
             return fixed(np.diag(np.concatenate(std) ** 2))
 
     def _take(self, **values: Any) -> None:
@@ -229,7 +229,7 @@ class Request(ABC):
         )
 
     def _check_rates(self) -> None:
-        """Check rates, and refuse tones that look slower in samples than they are."""
+        """Check the rates, and refuse tones that sampling would alias."""
         self._take(
             rate=positive("rate", self.rate), decay_rate=non_negative("decay_rate", self.decay_rate)
         )
@@ -247,7 +247,7 @@ class Output:
     """One measured quantity of an arm.
 
     Attributes:
-        measures: What it measures, one of `QUANTITIES` (rad, rad/s).
+        measures: The quantity, one of `QUANTITIES` (rad, rad/s).
         measurement_std: 1σ of one sample's noise [rad, rad/s].
         disturbance: Terms whose sum disturbs it.
         delay: How late an angle is measured, y(t) = q(t − delay) ≈ q − delay · q̇ [s].
@@ -278,12 +278,12 @@ class Output:
 
 
 _LINK_ANGLE = Output(QUANTITIES[LINK_ANGLE], 0.028, (DisturbanceTerm("bias"),))
-"""What is measured if a request does not say it."""
+"""The output of a request that names none."""
 
 
 @dataclass(frozen=True)
 class TorqueDisturbance:
-    """Unknown torques of an arm beside the known one [N m].
+    """Unknown torques on an arm besides the known one [N m].
 
     Attributes:
         motor: Terms of the torque at the motor: friction, offset, an error of the drive's gain.
@@ -319,21 +319,21 @@ class ArmRequest(Request):
         arm: Nominal physical parameters.
         disturbance: Terms whose sum disturbs the measured link angle; None with `outputs`.
         process_noise: Densities of the arm's acceleration noise.
-        measurement_std: 1σ of one sample's noise of the link angle [rad]; None with `outputs`.
-        outputs: What is measured; None for the link angle alone, see `sensors`.
+        measurement_std: 1σ of the noise of one sample of the link angle [rad]; None with `outputs`.
+        outputs: The measured quantities; None for the link angle alone, see `sensors`.
         torque_disturbance: Unknown torques at motor and link.
         torque: How the known torque reaches the motor. The certificate does not depend on it, since
             a known input moves truth and estimate alike.
         rate: Measurement rate [Hz].
-        x_max: Half width of the domain |q₁| ≤ x_max the certificate is for [rad], up to π.
+        x_max: Half width of the certificate's domain |q₁| ≤ x_max [rad], up to π.
         decay_rate: Certified rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
         initial_std: 1σ of [q₁, q̇₁, q₂, q̇₂] before any measurement (rad, rad/s), shape (4,).
         uncertainty: Bound on |θ| of each uncertain parameter, by its name in
-            `model.flow.ARM_DIRECTIONS`: relative, or N m s/rad for a damping. That of
-            gravity is left out if there is none.
+            `model.flow.ARM_DIRECTIONS`: relative, or N m s/rad for a damping. Without gravity the
+            bound of gravity is dropped.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
-        torque_limit: Largest plausible torque [N m]; None: see `torque_limits`; from `NO_LIMIT`
-            on, or with 0, there is no limit. A request file may not have 0.
+        torque_limit: Largest plausible torque [N m]; None: see `torque_limits`; `NO_LIMIT` or more,
+            or 0: no limit. A request file may not have 0.
         torque_rate_limit: Its largest plausible rate [N m/s]; likewise.
 
     Raises:
@@ -358,7 +358,7 @@ class ArmRequest(Request):
 
     starts = (0.5, 0)
     sensors = tuple[Output, ...]()
-    """What is measured, one entry per output."""
+    """The measured quantities, one entry per output."""
 
     def __post_init__(self) -> None:
         own: dict[str, Any] = {
@@ -392,7 +392,7 @@ class ArmRequest(Request):
                 {
                     name: positive(f"uncertainty.{name}", bound)
                     for name, bound in self.uncertainty.items()
-                    # A share of no gravity is none.
+                    # Without gravity there is nothing to scale.
                     if name != "gravity" or self.arm.gravity_torque
                 }
             ),
@@ -413,7 +413,7 @@ class ArmRequest(Request):
             require_delay(f"outputs[{place}].delay", output.delay, self.period)
         if self.certify_uncertainty and not self.uncertainty_model.count:
             raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
-        _ = self.covered.linear_places  # refused if too many
+        _ = self.covered.linear_places  # raises if there are too many
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
@@ -436,22 +436,22 @@ class ArmRequest(Request):
         return arm_uncertainty(self.arm, self.uncertainty)
 
     def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits:
-        """Return which torques a drive of the arm can have.
+        """Return the limits of a plausible torque.
 
-        What the request leaves open is generous for any arm: ten times the gravity torque and what
-        moves both inertias through the domain at the joint's fastest frequency; and from one end of
-        this range to the other within 2 ms, so that no step of a command is refused at rates up to
-        500 Hz. A step is judged by the time since the last torque in use, but at least by a period.
+        Limits that the request leaves open are generous for any arm. The torque may be ten times
+        the sum of the gravity torque and the torque that swings both inertias through the domain at
+        the joint's fastest frequency. It may cross this range within 2 ms, so no command step is
+        refused up to 500 Hz. A step is from the last torque in use and lasts at least a period.
 
         Args:
-            limit: Largest torque instead of the request's [N m]; 0 for that.
-            rate_limit: Largest rate instead of the request's [N m/s]; 0 for that.
+            limit: Largest torque [N m]; 0: the request's.
+            rate_limit: Largest rate [N m/s]; 0: the request's.
         """
         arm = self.arm
         inertia = arm.link_inertia + arm.motor_inertia
         angle, speed = self.reach[:2].tolist()
         largest = 10.0 * (arm.gravity_torque + inertia * speed * speed / angle)
-        # What a torque may be while it is unknown stays of the arm's size.
+        # Without a limit, the spread of an unknown torque still has the arm's scale.
         known, rate = (
             0.0 if each is not None and each >= NO_LIMIT else each
             for each in (limit or self.torque_limit, rate_limit or self.torque_rate_limit)
@@ -529,7 +529,7 @@ class ArmRequest(Request):
         )
 
     def at_rate(self, rate: float) -> Self:
-        # Delays could be too many short periods; no error depends on them.
+        # A delay could be too many of the shorter periods; errors do not depend on delays.
         outputs = self.outputs and [replace(output, delay=0.0) for output in self.outputs]
         return replace(self, rate=rate, torque=DIRECT, outputs=outputs)
 
@@ -552,13 +552,13 @@ class ArmRequest(Request):
 
 @dataclass(frozen=True, eq=False)
 class TSRequest(Request):
-    """What a design is for. Units are the model's.
+    """Everything a certified gain for a T–S system depends on. Units are the model's.
 
     Attributes:
         model: The T–S system, r rules.
         disturbance: Terms of each channel's disturbance, whose sum acts on it; () for none.
         process_noise: Densities of white noise on each state's derivative, shape (n,).
-        measurement_std: Noise of one sample of each output, shape (p,).
+        measurement_std: 1σ of the noise of one sample of each output, shape (p,).
         rate: Samples per second [Hz].
         initial_std: 1σ of each state before any measurement, shape (n,).
         decay_rate: Required rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
@@ -567,8 +567,8 @@ class TSRequest(Request):
         D_s: Channels to outputs, shape (p, channels); by default one channel per output.
         uncertainty: Uncertain directions of the rules' matrices by name.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
-        names: Names of the signals; x1, y1, u1, s1 and so on in groups without any.
-        units: Their units, of all groups or of none.
+        names: Names of the signals; groups without names get x1, y1, u1, s1 and so on.
+        units: Units of the signals, for all groups or for none.
 
     Raises:
         ModelError: A value is out of range or of the wrong shape.
@@ -748,4 +748,4 @@ def _closer(matrices: Array, share: float) -> Array:
 
 
 AnyRequest: TypeAlias = ArmRequest | TSRequest
-"""What a design is asked for by."""
+"""The requests that designs answer."""

@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Signals of a design: their names and units, and their places in messages, all JointStates.
+"""Signals of a design: their names, their units, and their places in JointState messages.
 
-An arm has angles, velocities and torques. A driver publishes the side that its encoder is on under
-the joint's name; only with encoders on both sides the motor has an entry of its own. A T–S system
-has an entry per signal, named as its file does, whose value is its `position`.
+An arm has angles, velocities and torques. A driver with an encoder on one side publishes that side
+under the joint's name; only with encoders on both sides does the motor have its own entry. A T–S
+system has one entry per signal, named as in its file; the `position` holds the value.
 """
 
 import re
@@ -23,13 +23,13 @@ _MAX_LENGTH = 60
 
 @dataclass(frozen=True)
 class Labels:
-    """Names, or units, of signals in the order of the model; a group left out has none.
+    """Names or units of signals in the order of the model; an omitted group has none.
 
     Attributes:
-        states: Of x.
-        outputs: Of y.
-        inputs: Of u, scheduled signals not among them.
-        scheduled: Of s.
+        states: Labels of x.
+        outputs: Labels of y.
+        inputs: Labels of u, without scheduled signals.
+        scheduled: Labels of s.
     """
 
     OMIT_EMPTY: ClassVar[bool] = True
@@ -42,20 +42,20 @@ class Labels:
 
 
 NO_LABELS = Labels()
-"""Those of a request that gives none."""
+"""The labels of a request that gives none."""
 
 
 def checked_labels(names: Labels, units: Labels, counts: Sequence[int]) -> tuple[Labels, Labels]:
-    """Return the names and units of all signals, of which a request may give some.
+    """Return the names and units of all signals; a request may give only some of them.
 
-    Groups without names get x1, y1, u1, s1 and so on; units without any are empty texts. A
-    scheduled signal with the name of an output is that measurement. Else the names of outputs,
-    inputs and scheduled signals differ, as these are entries of one message, and so do those of
-    the states.
+    Groups without names get x1, y1, u1, s1 and so on; without units, all units are empty texts. A
+    scheduled signal with the name of an output is that measurement. Otherwise the names of outputs,
+    inputs and scheduled signals must differ, because they are entries of one message. The names of
+    the states must differ, too.
 
     Raises:
-        ModelError: There is not one text per signal, one is not plain, or two signals share a name;
-            the text has the place of the entry.
+        ModelError: A group has not one text per signal, a text is not plain, or two signals share a
+            name; the message names the entry.
     """
     groups = zip(vars(names).values(), counts, "xyus", strict=True)
     names = Labels(
@@ -93,7 +93,7 @@ def labelled(names: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
 
 
 class Place(NamedTuple):
-    """Where a number is in a JointState: the entry's name and the message's field."""
+    """The place of a number in a JointState: the entry's name and the message's field."""
 
     name: str
     field: Field
@@ -108,13 +108,13 @@ class Signals(NamedTuple):
     """The places of a joint's signals.
 
     Attributes:
-        outputs: Of each measured output, p places.
-        inputs: Of each input and then each scheduled signal, m places.
-        states: Of each state of the plant in estimates.
+        outputs: Places of the p measured outputs.
+        inputs: Places of the inputs and then of the scheduled signals, m in all.
+        states: Places of the plant's states in estimates.
         disturbances: Entry of each output in disturbances and innovations, p names.
-        torques: Of each torque disturbance in estimates, the motor's first.
-        other_inputs: Of each input if its place in `inputs` has no number; () if there are none.
-        units: Of each output, empty texts if they are not known.
+        torques: Places of the torque disturbances in estimates, the motor's first.
+        other_inputs: Places of the inputs if `inputs` has no number; () if there are none.
+        units: Units of the outputs, empty texts if they are not known.
     """
 
     outputs: tuple[Place, ...]
@@ -127,10 +127,10 @@ class Signals(NamedTuple):
 
     @property
     def entries(self) -> frozenset[str]:
-        """The entries of measurements that have something of the joint."""
+        """The entries of measurement messages that belong to the joint."""
         return frozenset(place.name for place in self.outputs + self.inputs + self.other_inputs)
 
 
 def positions(names: Iterable[str]) -> tuple[Place, ...]:
-    """Return the places of numbers that are the `position` of entries."""
+    """Return the places of numbers in the `position` of entries."""
     return tuple(Place(name, "position") for name in names)

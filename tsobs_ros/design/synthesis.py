@@ -11,14 +11,14 @@ In delta coordinates Ã = (A − I)/T, R_c = R T, and with one matrix P for all 
 is the closed-loop inequality of `certificate` with the optimal gain K = X C̄ᵀ(C̄XC̄ᵀ + R)⁻¹
 eliminated by completing the square, and it stays well conditioned as T → 0.
 
-Two choices differ from a plain trace minimisation. The bound is minimised in volume, log det X,
-by minimising trace(Z⁻¹X) around the last solution Z until it settles: the states have different
-units, and a trace would weigh radians against radians per second. The same Z = T Tᵀ scales the
-problem, without which interior-point solvers stall. The strict margin is bought by designing
-for a little more noise, relative to the bound, than there is: the first of `MARGINS` whose
-answer passes the re-check. An arm with modes of 1000 rad/s needs the second or third: a margin
-of 1e-4 a second is 1e-7 of the terms it is left of, and neither tighter tolerances nor more
-equilibration of the problem takes the solver there.
+Two choices differ from a plain trace minimisation. First, the volume of the bound, log det X, is
+minimised, by minimising trace(Z⁻¹X) around the last solution Z until it settles. The states have
+different units, and a plain trace would weigh radians against radians per second. The same Z = T Tᵀ
+scales the problem; otherwise interior-point solvers stall. Second, the design assumes a little more
+noise than there is, relative to the bound, so that the inequalities hold strictly. The extra noise
+is the first of `MARGINS` whose answer passes the re-check. An arm with modes of 1000 rad/s needs
+the second or third, because a margin of 1e-4 per second is 1e-7 of the terms whose difference it
+is. Neither tighter tolerances nor more equilibration makes the solver that accurate.
 """
 
 import math
@@ -75,7 +75,7 @@ def synthesise(request: AnyRequest) -> Design:
         The design with the smallest proved bound, its certificate re-checked.
 
     Raises:
-        DetectabilityError: No observer can exist; the text says which mode is hidden and why.
+        DetectabilityError: No observer can exist; the message names the hidden mode and the reason.
         DesignError: The solver found no common matrix P, or its answer failed the re-check.
     """
     try:
@@ -102,10 +102,10 @@ def _has_design(remedy: Remedy) -> bool:
 def solve_gain(
     problem: AnyRequest, passes: int = 12, smallest_step: float = 1.0 / 64.0
 ) -> tuple[Array, Array, SolverReport]:
-    """Return P and K with the smallest proved bound, re-checked, and who computed them.
+    """Return P and K with the smallest proved bound, re-checked, and the solver's report.
 
-    At most so many passes shrink the bound's volume; attempts to reach the domain grow by at least
-    `smallest_step` of it.
+    At most `passes` solves shrink the bound's volume. The solved share of the domain grows in steps
+    of at least `smallest_step`.
 
     Raises:
         DesignError: The solver found no common matrix P, or its answer failed the re-check.
@@ -132,7 +132,7 @@ def solve_gain(
 
 
 def _walk_to_domain(problem: AnyRequest, margin: float, smallest_step: float) -> _Solution:
-    """Solve for all that is asked, from its middle in as few steps as the solver bears."""
+    """Solve on the whole domain, from its middle in as few steps as the solver manages."""
     starts = [problem.vertices(share)[0] for share in problem.starts]
     found = [_kalman_covariance(problem, start) for start in starts]
     guesses = [guess for guess in found if guess is not None]
@@ -198,7 +198,7 @@ def _solve(
     program = cp.Problem(cp.Minimize(cp.trace(W)), constraints)
     try:
         with warnings.catch_warnings():
-            # "Solution may be inaccurate": every answer is re-checked, whatever its status.
+            # "Solution may be inaccurate" is harmless: every answer is re-checked.
             warnings.simplefilter("ignore", UserWarning)
             program.solve(solver=cp.CLARABEL, tol_gap_abs=1e-6, tol_gap_rel=1e-6, tol_feas=1e-7)
     except cp.SolverError:
@@ -222,15 +222,15 @@ def _kalman_covariance(problem: AnyRequest, vertex: VertexSystem) -> Array | Non
         covariance = np.asarray((covariance + covariance.T) / 2)
         np.linalg.cholesky(covariance)
     except (np.linalg.LinAlgError, ValueError):
-        # SciPy raises either, according to where its ordering of eigenvalues fails.
+        # SciPy raises either error, depending on where its ordering of eigenvalues fails.
         return None
     return covariance
 
 
 def _remedies(request: AnyRequest) -> Iterator[Iterable[Remedy]]:
-    """Yield changes of a request without a design, those of one kind together, the smallest first.
+    """Yield changes of a request that has no design, grouped by kind, the smallest first.
 
-    The first of each kind that has a design is suggested.
+    The first change of each kind that leads to a design is suggested.
     """
     if request.disturbance_model.arbitrary:
         yield [_modelled(request, kind) for kind in ("bias", "gauss_markov")]
@@ -266,7 +266,7 @@ def _remedies(request: AnyRequest) -> Iterator[Iterable[Remedy]]:
 
 
 def _modelled(request: AnyRequest, kind: str) -> Remedy:
-    """Return a request with terms of a kind in place of all that are arbitrary."""
+    """Return the request with each arbitrary term replaced by a term of a given kind."""
     for place, channel in enumerate(request.channels):
         model = DisturbanceTerm(kind)
         terms = tuple(model if each.kind == "arbitrary" else each for each in channel.terms)

@@ -1,30 +1,30 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Observers of the arm to compare with: two of high gain, and extended Kalman filters.
+"""Baseline observers of the arm, for comparison: two with high gain, and extended Kalman filters.
 
 The proportional high-gain observer (PO),
 
     x̂' = f(x̂, u) + K (y − x̂₁) ,     poles of A(c = 1) − K C at −θ (1, 1.1, 1.2, 1.3)
 
-trades by θ the speed of convergence against noise. The proportional-integral one (PIO), after
+trades speed of convergence against noise by its θ. The proportional-integral one (PIO), after
 K. Busawon, P. Kaboré, "Disturbance attenuation using proportional integral observers",
-International Journal of Control 74 (2001), measures the integral x₀' = y in place of y,
+International Journal of Control 74 (2001), uses the integral x₀' = y as measurement in place of y,
 
     x̂₀' = C x̂ + K₀ (x₀ − x̂₀) ,     x̂' = f(x̂, u) + K (x₀ − x̂₀)
 
 with the poles of the error at −θ (1, 1.1, 1.2, 1.3, 1.4). Its state is x̂ and then the error
-e₀ = ∫y − x̂₀ [rad s], as x₀ itself grows without bound if y has a mean. Both take a disturbance of y
-for motion. Between two samples the last one is held, an input of the prediction model.
+e₀ = ∫y − x̂₀ [rad s], because x₀ itself grows without bound if y has a mean. Both observers take a
+disturbance of y for motion. Between samples the last one is held, as an input of the model.
 
-The extended Kalman filter (EKF) has the states [x; w] of a design, its noise and its start, or
-[x; w; θ] with its uncertain parameters. It is what a careful engineer writes: an output that is
-further off than so many sigmas is left out, and if most were in the last half second, the
-covariance starts again. It is one hypothesis of the bank by itself, with Riccati gains for ever. θ
-is learnt from the first sample on, without limits; with Υ = ∂x/∂θ and the covariance Γ of θ
+The extended Kalman filter (EKF) has the states [x; w], the noise and the start of a design, or the
+states [x; w; θ] with its uncertain parameters. A careful engineer would write this filter: it
+leaves out an output that is off by more than `GATE` sigmas. If it left out most outputs of the last
+half second, its covariance starts again. It is a single hypothesis of the bank, always with Riccati
+gains. θ is learnt from the first sample on, without limits; with Υ = ∂x/∂θ and θ's covariance Γ
 
     P_xx = P + Υ Γ Υ' ,     P_xθ = Υ Γ ,     P_θθ = Γ
 
-are those of θ as states, but for what it wanders. No observer here has a certificate.
+are the covariances of θ as states, except for its random walk. No observer here has a certificate.
 """
 
 from collections.abc import Mapping
@@ -64,9 +64,9 @@ def high_gain(
     *,
     integral: bool = False,
 ) -> Estimator:
-    """Return the proportional high-gain observer (PO), or with an integral the PIO.
+    """Return the proportional high-gain observer (PO) or, with `integral`, the PIO.
 
-    θ is in rad/s, the period in s. 1σ of a sample [rad] is all that is known of an innovation.
+    θ is in rad/s, the period in s. The 1σ of a sample [rad] also serves as that of an innovation.
 
     Raises:
         ModelError: A number is not finite and above zero.
@@ -95,10 +95,10 @@ proportional_integral = partial(high_gain, integral=True)
 
 
 def high_gain_matrix(arm: ElasticJointArm, theta: float, *, integral: bool = False) -> Array:
-    """Return the gain K of a PO, shape (4, 1), or those of a PIO, K₀ and then K, shape (5, 1).
+    """Return the gain K of a PO, shape (4, 1), or the gains K₀, K of a PIO, shape (5, 1).
 
-    Ackermann's formula, K = Π (A − pᵢ I) O⁻¹ eₙ for the poles pᵢ: each state is the derivative of
-    the one before, up to those before that, so the observability matrix O has the last column eₙ.
+    Ackermann's formula is K = Π (A − pᵢ I) O⁻¹ eₙ for the poles pᵢ. Each state is the derivative of
+    the one before, plus earlier states, so the last column of the observability matrix O is eₙ.
     """
     A = arm.slope_matrix(1.0)
     if integral:
@@ -119,8 +119,8 @@ def extended_kalman(
 ) -> Estimator:
     """Return the extended Kalman filter (EKF) of a model; see `riccati_estimator`.
 
-    Parameters that are uncertain are states of it. The gate is in sigmas, infinite for a filter
-    that leaves no output out.
+    Uncertain parameters become states of the filter. The gate is in sigmas; if it is infinite, the
+    filter leaves no output out.
     """
     covariances = (measurement_covariance, initial_covariance)
     estimator = riccati_estimator(flow, *covariances, uncertainty)
@@ -133,7 +133,7 @@ def extended_kalman(
         )  # fmt: skip
         estimator.model["limits"] = np.inf
         estimator.model["constants"][0, CONSTANTS["CURVED"]] = 0.0
-    if isinstance(flow, ArmFlow):  # a torque that is no number is held, any other one taken
+    if isinstance(flow, ArmFlow):  # for a torque that is NaN the last one is held; others are used
         estimator.limit_torque(TorqueLimits(np.inf, np.inf, 0.0))
     return estimator
 
@@ -164,21 +164,21 @@ def open_estimator(
     """Return the estimator x̂' = Σ hᵢ(y)(Fᵢ x̂ + Yᵢ y + Uᵢ u) − g sin x̂₁ in the row of x̂₂.
 
     Args:
-        F: One matrix a rule, shape (r, n, n).
-        Y: Of the sample, which is held until the next one, shape (r, n, p).
-        U: Of the inputs, shape (r, n, m).
+        F: One matrix per rule, shape (r, n, n).
+        Y: Those of the sample, which is held until the next one, shape (r, n, p).
+        U: Those of the inputs, shape (r, n, m).
         period: Nominal sampling period [s].
         rule_base: Memberships of the first measurements; one rule that always fires if None.
         gravity_gain: g of an arm [1/s²].
         torque: How the first input reaches an arm's motor.
-        **matrices: Those of a model record: `scale`, `C`, `R` and, unless they are zero, `D`,
+        **matrices: Matrices of a model record: `scale`, `C`, `R` and, unless they are zero, `D`,
             `disturbance_map` and `disturbance_direct`.
     """
     _, n, p = Y.shape
     shape = Shape(n, len(matrices["scale"]), p, U.shape[2])
     rules = rule_base or _ALWAYS
     q = rules.coded[0].shape[1]
-    # The sample is an input, and a scheduled signal, of which the premises are the first.
+    # The sample is an input and a scheduled signal; its first entries are the premises.
     inputs, premise = np.concatenate([U, Y], axis=2), (np.zeros((q, n)), np.eye(q, p))
     system = TSModel(F, inputs, matrices["C"], rules, *premise)
     undisturbed = per_channel(p * [CLEAN[0].model])

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The step-by-step estimator: pure functions of states, over the steps of the compiled core."""
+"""The step-by-step estimator: pure functions of states that call the steps of the compiled core."""
 
 import math
 from dataclasses import dataclass
@@ -33,36 +33,36 @@ TORQUE_RATE = 1.0
 
 LEARNING = {
     "random_walk": 1e-6,  # growth of each θ's variance, which keeps the gain alive [1/s]
-    "significance": 9.0,  # θ is used from 3σ on, squared, so that a nominal arm stays nominal
-    "pass_time": 4.0,  # what was learnt along wrong regressors is learnt again after so long [s]
+    "significance": 9.0,  # (3σ)²: θ is used from 3σ on, so that a nominal arm stays nominal
+    "pass_time": 4.0,  # length of a pass [s]; the next one learns along better regressors
     "memory": 10.0,  # time constant of the measure of excitation [s]
-    "excitation": 400.0,  # its smallest eigenvalue from which θ counts as valid
+    "excitation": 400.0,  # smallest eigenvalue of that measure from which θ counts as valid
 }
-"""How parameters are learnt, by fields of a model record."""
+"""Settings of the learning, by fields of a model record."""
 
 _FIRST_PASS = 1.0
-"""The first pass is over after so long [s]: the estimate settles, and regressors are most wrong."""
+"""Length of the first pass [s]: while the estimate settles, the regressors are at their worst."""
 
 _LASTING = 0.2
-"""A disturbance whose mode is slower [1/s] can stay where a jump took it."""
+"""A disturbance with a mode slower than this [1/s] can stay at the value that it jumped to."""
 
 _COLOUR_OF_SYSTEMS = {"COLOUR_TIME": 0.4, "COLOUR_SIZE": 1.0}
-"""Coloured noise of a T–S system; of an arm, such slow noise would explain wrong parameters."""
+"""Coloured noise of a T–S system; for an arm, noise so slow would explain wrong parameters."""
 
 GAIN_MODES = ("certified", "riccati")
-"""Which gain corrects the estimate once it has settled."""
+"""The gains that may correct the estimate once it has settled."""
 
 Rows = Any
 """Rows of estimates, a record array of `Estimator.row_type`."""
 
 
 class TorqueLimits(NamedTuple):
-    """Which torques of an arm are plausible.
+    """The limits of an arm's plausible torques.
 
     Attributes:
         limit: Largest torque [N m], infinite if any is plausible.
         rate_limit: Its largest rate [N m/s], likewise.
-        spread: 1σ of a torque of which nothing is known [N m].
+        spread: 1σ of an entirely unknown torque [N m].
     """
 
     limit: float
@@ -72,15 +72,15 @@ class TorqueLimits(NamedTuple):
 
 @dataclass(frozen=True)
 class SupervisionOptions:
-    """When samples are not used.
+    """The rules for leaving samples out.
 
-    Each σ is multiplied by the noise scale. A disturbance beyond π looks like arm and sensor turned
-    together. Repetitions are counted in core/bank.c.
+    Each σ is multiplied by the noise scale. A disturbance beyond π looks as if arm and sensor had
+    turned together. core/bank.c counts repetitions.
     """
 
     gate: float = live_setting(
         5.0,
-        "Innovations as unlikely as beyond so many sigma are outliers, not used",
+        "Innovations as unlikely as this many sigma or more are outliers and not used",
         minimum=1.0,
         maximum=1e3,
     )
@@ -89,7 +89,7 @@ class SupervisionOptions:
     )
     disturbance_limit: float = live_setting(
         math.pi,
-        "Largest disturbance that a sensor is supposed to jump to",
+        "Largest disturbance that a sensor is assumed to jump to",
         unit="rad",
         minimum=1e-3,
     )
@@ -109,14 +109,14 @@ class Estimator:
     """The estimator of one system; its states are records, which no step changes.
 
     `Design.observer` and `methods.make_estimator` make it for a design; `estimation.baselines`
-    makes those to compare with.
+    makes the baselines.
 
     Attributes:
         shape: Sizes.
         model: Model record, shape (1,).
-        lacking: Fields of an estimate that it has nothing for.
-        row_type: Type of the estimates' rows: the fields of `Estimate` but the stamp, as numbers;
-            of length 0 if the estimator has nothing for one.
+        lacking: Fields of an estimate that the estimator cannot fill.
+        row_type: Type of the estimates' rows: the fields of `Estimate` as numbers, without the
+            stamp; fields that the estimator cannot fill have length 0.
     """
 
     def __init__(self, shape: Shape, model: Record, lacking: tuple[str, ...] = ()) -> None:
@@ -144,12 +144,12 @@ class Estimator:
         return bool(self.model["supervised"][0])
 
     def supervise(self, options: SupervisionOptions) -> None:
-        """Supervise from now on, or by other options than before."""
+        """Supervise from now on, or change the options of the supervision."""
         model = self.model[0]
         for name, value in vars(options).items():
             model[name] = value
         model["supervised"] = 1
-        # The limit is for an arm's angles; another output has a unit of its own.
+        # The limit is for an arm's angles; other outputs have other units.
         angles = model["C"][:, [LINK_ANGLE, MOTOR_ANGLE]].any(axis=1)
         is_arm = model["flow"].view(np.int64)[0] == native.KIND_ARM
         model["disturbance_limit"][~(angles & is_arm)] = math.inf
@@ -170,12 +170,12 @@ class Estimator:
         """Learn the parameters that the estimator was made for.
 
         Args:
-            uncertainty: The parameters, whose bounds limit what is learnt.
+            uncertainty: The parameters; their bounds limit the learnt values.
             covered: Whether the certificate holds for every θ within the bounds; if not, no bound
                 that depends on θ is called certified.
-            initial_std: 1σ of each θ before any measurement, that of an even draw from its range
-                if None; caps the gain ever after.
-            **options: In place of some of `LEARNING`.
+            initial_std: 1σ of each θ before any measurement; if None, the 1σ of a uniform draw
+                from its range. It caps the gain ever after.
+            **options: Values that replace some of `LEARNING`.
         """
         one = self.model[0]
         one["limits"], one["covered"] = uncertainty.limits, covered
@@ -188,11 +188,11 @@ class Estimator:
         first["pass_age"] = max(0.0, one["pass_time"] - _FIRST_PASS)
 
     def new_record(self, name: str) -> Record:
-        """Return zeros: a "work", scratch for one thread, a "correction" or an "estimate"."""
+        """Return a record of zeros: "work" (scratch for one thread), "correction" or "estimate"."""
         return np.zeros(1, self._types[name])
 
     def rows_of(self, numbers: Array) -> Rows:
-        """Return rows of `row_type`, the same memory as some numbers."""
+        """Return numbers as rows of `row_type`, without copying them."""
         return np.recarray(numbers.nbytes // self.row_type.itemsize, self.row_type, numbers.data)
 
     def initial(self) -> Record:
@@ -200,9 +200,9 @@ class Estimator:
         return copy_records(self.model["initial"])
 
     def correct(self, state: Record, y: ArrayLike) -> tuple[Record, Correction]:
-        """Return the state at a stamp corrected by a measurement, and the innovation.
+        """Return the state corrected by a measurement at its stamp, and the innovation.
 
-        It has the shape (p,), NaN of an output that is missing.
+        The measurement has the shape (p,), with NaN for a missing output.
 
         Raises:
             ModelError: The measurement has another shape.
@@ -217,8 +217,8 @@ class Estimator:
     ) -> Record:
         """Predict over a duration [s] with inputs u held, shape (m,).
 
-        If the result is `between_samples`, only read and not stepped on, its certified bound serves
-        the whole interval to the next regular sample.
+        With `between_samples` the result is only read, not stepped on, and its certified bound
+        holds on the whole interval to the next regular sample.
 
         Raises:
             ModelError: The duration is negative or not finite, or the inputs have another shape.
@@ -250,14 +250,14 @@ def riccati_estimator(
     *,
     auxiliary: bool = False,
 ) -> Estimator:
-    """Return the estimator whose gains are Riccati's, a Kalman filter along the estimate.
+    """Return the estimator with Riccati gains, a Kalman filter along the estimate.
 
     Args:
         flow: Prediction model.
         measurement_covariance: R of one sample, diagonal, shape (p, p).
         initial_covariance: Error covariance of the zero estimate before any sample, shape (n, n).
         uncertainty: Parameters to learn, see `Estimator.learn`; none if None.
-        auxiliary: As of `new_model`.
+        auxiliary: As for `new_model`.
 
     Raises:
         ModelError: A matrix has the wrong shape.
@@ -292,9 +292,9 @@ def riccati_estimator(
 
 
 def _unknown_input(flow: Flow, std: Array) -> float:
-    """Return 1σ of what may be unknown of the first input, by the plant's states at the start.
+    """Return the 1σ of an unknown part of the first input, from the plant's initial 1σ.
 
-    Within a second it moves the state that it moves most by a tenth of that.
+    Within a second it moves the state that it moves most by a tenth of that state's 1σ.
     """
     gain = np.abs(flow.nominal.gamma[: len(std), 0]) / (flow.linear_share * flow.period)
     moved = gain > 0.0
@@ -302,7 +302,7 @@ def _unknown_input(flow: Flow, std: Array) -> float:
 
 
 def _can_jump(flow: Flow) -> Array:
-    """Return by output whether its disturbance can stay where a jump took it, as a bias does."""
+    """Return for each output whether its disturbance can stay after a jump, like a bias."""
     model, first = flow.disturbance, flow.plant_count
     if not model.state_count:
         return np.zeros(len(flow.disturbance_map), bool)
@@ -325,19 +325,19 @@ def certified_estimator(
     uncertainty: Uncertainty | None = None,
     domain: Array | None = None,
 ) -> Estimator:
-    """Return the estimator with a certified gain; arguments are those of `riccati_estimator`, and
+    """Return the estimator with a certified gain; other arguments are as for `riccati_estimator`.
 
     Args:
         K: Filter gain, shape (n, p).
-        X: Bound that is proved for it on the error covariance before each sample, shape (n, n).
-        late_factor: Factor of the 1σ bound for up to a period after the next sample is due; NaN
+        X: Bound on the error covariance before each sample, proved for K, shape (n, n).
+        late_factor: Factor on the 1σ bound for up to a period after the next sample is due; NaN
             if none is known.
         settle_time: Least duration of the Riccati phase [s].
-        gain_mode: Whether the certified gain ever takes over.
+        gain_mode: "certified" if the certified gain may take over, else "riccati".
         torque_rate: 1σ of the rate at which an arm's torque may move in a gap, which is a step
             longer than a regular one [N m/s]; 0: it is held.
-        domain: 1σ of the plant's states where nothing is known of them, in physical units, shape
-            (plant,); at least the initial one.
+        domain: 1σ of the plant's states if nothing is known of them, in physical units, shape
+            (plant,); raised to the initial 1σ if smaller.
 
     Raises:
         ModelError: As `riccati_estimator`, or a number is negative.
@@ -355,7 +355,7 @@ def certified_estimator(
             known = math.sqrt(congruent(flow.torques[:1], initial_covariance)[0, 0])
             one["at_link"] = 1
             one["force"] = max(2.0 * known, one["force"][()]) / flow.arm.link_inertia
-        if explains_motor:  # and a wrong stiffness, too
+        if explains_motor:  # a torque at the motor explains a wrong stiffness, too
             measured = flow.output_matrix[:, :plant].reshape(p, 2, 2).any(axis=(0, 2))
             one["hidden"] = np.repeat(~measured & (estimator.shape.k == 0), 2)
     else:

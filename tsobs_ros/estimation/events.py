@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Events of an estimate: changes of what it is worth, once each, in words.
+"""Events of an estimate: the changes of its quality, each reported once, in words.
 
-They are a function of the health that an estimator reports ten times a second, so a node's log,
-an estimate over a recording and a report on it list the same ones.
+They depend only on the health that an estimator reports ten times per second. So a node's log,
+an estimate over a recording and a report on that recording list the same events.
 """
 
 import enum
@@ -17,8 +17,8 @@ COAST_AFTER, STALE_AFTER = 0.1, 5.0
 """Default ages of the newest measurement for COASTING and for STALE [s]."""
 
 NOISY, NOT_NOISY = 1.5, 1.3
-"""Noise scales from which on the noise counts as larger than the design's, and below which as usual
-again."""
+"""Noise scale from which on the noise counts as larger than the design's, and noise scale below
+which it counts as usual again."""
 
 _LASTING = 1.0
 _BURST, _INTERVAL = 5.0, 10.0
@@ -26,7 +26,7 @@ _SHORTEST_SILENCE = 0.2
 
 
 class EventKind(enum.Enum):
-    """What has changed; the value is its name in reports."""
+    """The kind of a change; the value is its name in reports."""
 
     STATE = "state"
     BOUND = "bound"
@@ -37,7 +37,7 @@ class EventKind(enum.Enum):
 
 
 class Event(NamedTuple):
-    """A change: when it began [ns], and how bad what follows is."""
+    """A change: the stamp at which it began [ns], its kind, and the level of the new state."""
 
     stamp: int
     kind: EventKind
@@ -49,16 +49,16 @@ class EventLog:
     """Finds the events of one joint's estimates.
 
     A state of bounds, noise or hypothesis must last a second to be reported, but void
-    bounds are reported at once. A state that flickers is reported five times, and then every ten
+    bounds are reported at once. A flickering state is reported five times, and then every ten
     seconds with the number of its changes.
 
     Args:
-        source: Where the measurements come from, such as a topic.
+        source: Origin of the measurements, such as a topic.
         coast_after: Age of the newest measurement for COASTING [s]; may be changed at any time.
-        stale_after: Age of it for STALE [s].
+        stale_after: Age of the newest measurement for STALE [s].
 
     Attributes:
-        changes: What has changed of each kind.
+        changes: The changes of each kind.
 
     Example:
         >>> log = EventLog("/joint_measurements", coast_after=0.1, stale_after=5.0)
@@ -80,7 +80,7 @@ class EventLog:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the states, but not how much has been reported, as the estimate has no past."""
+        """Forget the states, as the estimate has no past, but remember how much was reported."""
         self._waits_since: int | None = None
         self._newest: int | None = None
         self._noisy = False
@@ -88,7 +88,7 @@ class EventLog:
             changes.restart()
 
     def update(self, estimate: Estimate) -> list[Event]:
-        """Return what the next estimate, about 0.1 s after the last, gives occasion to report."""
+        """Return the events due at the next estimate, which is about 0.1 s after the last."""
         stamp, scale = estimate.stamp, estimate.noise_scale
         newest, before = stamp - round(estimate.age * NANOSECONDS), self._newest
         events = []
@@ -122,7 +122,7 @@ class EventLog:
         return sorted(events, key=lambda event: event.stamp)
 
     def silence(self, now: int) -> list[Event]:
-        """Return what a time [ns] without an estimate gives occasion to report."""
+        """Return the events due at a time [ns] without an estimate."""
         state = self.changes[EventKind.STATE]
         if self._newest is not None:
             late = now - self._newest > self._stale_after * NANOSECONDS
@@ -143,7 +143,7 @@ class EventLog:
 
 
 class Changes(Debounce[Any]):
-    """The changes of one kind, reported at most five times at once and then every ten seconds."""
+    """The changes of one kind, reported at once up to five times and then every ten seconds."""
 
     def __init__(self, kind: EventKind, usual: Any) -> None:
         self._kind, self._usual = kind, usual
@@ -159,7 +159,7 @@ class Changes(Debounce[Any]):
     def report(
         self, stamp: int, value: Any, judged: tuple[Level, str], lasting: float = 0.0
     ) -> list[Event]:
-        """Take in a value, which must last so long [s], and return the reports that are due."""
+        """Take in a value, which must last `lasting` [s], and return the reports that are due."""
         events, before = self.due(stamp), self.value
         if self.update(stamp, value, lasting) != before:
             self._changed = stamp
@@ -171,7 +171,7 @@ class Changes(Debounce[Any]):
         """Return the report that is due by a stamp [ns], if any."""
         if not self._count:
             return []
-        # Stamps may have gone back at a restart.
+        # A restart may have set the stamps back.
         rested = 0 if self._reported is None else self._changed - self._reported
         credit = self._credit + rested / (_INTERVAL * NANOSECONDS)
         missing = max(0.0, 1.0 - credit)

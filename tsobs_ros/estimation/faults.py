@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The faults of sensors: missing, stuck, oscillating, drifting, biased or noisy.
 
-They are in what the estimator remembers: the time since a sensor's last value, repetitions of its
-value, the hypothesis that is named, the size of its noise, and the estimated disturbance. A kind
-and a level must last to be reported.
+The estimator's state shows them: the time since a sensor's last value, repetitions of its value,
+the named hypothesis, the size of its noise, and the estimated disturbance. A kind and a level must
+last for some time to be reported.
 """
 
 import enum
@@ -22,13 +22,13 @@ from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.model.prediction import Record
 from tsobs_ros.series import NANOSECONDS
 
-_PERIOD = 0.1  # between two looks, and how long a sensor is missing or stuck at least [s]
+_PERIOD = 0.1  # time between two checks, and shortest time of a missing or stuck sensor [s]
 _STUCK_REPEATS = 10
 _BIAS_SIGMAS = 4.0
 
 
 class FaultKind(enum.Enum):
-    """Kind of a sensor's fault, the first that holds."""
+    """Kind of a sensor's fault; if several apply, the first."""
 
     NONE = "none"
     MISSING = "missing"
@@ -44,27 +44,27 @@ _SURE = (FaultKind.MISSING, FaultKind.STUCK)
 _LEVELS = {FaultKind.NONE: Level.OK, FaultKind.NOISE: Level.WARN} | dict.fromkeys(
     _SURE, Level.ERROR
 )
-"""Levels of kinds whose size does not decide."""
+"""Levels of the kinds whose level does not depend on the size."""
 _SUPPOSED = {
     Hypothesis.TONE: FaultKind.OSCILLATION,
     Hypothesis.DRIFT: FaultKind.DRIFT,
     Hypothesis.COLOURED_NOISE: FaultKind.NOISE,
 }
-"""Kinds that a hypothesis supposes of the sensor whose part of the states it moves most."""
+"""Fault that a hypothesis assumes for the sensor whose part of the states it moves most."""
 
 
 class Fault(NamedTuple):
     """A fault of a sensor; numbers are in its unit.
 
     Attributes:
-        kind: What it looks like.
-        magnitude: Of an oscillation its amplitude, of noise its standard deviation, else the
+        kind: The apparent kind.
+        magnitude: Amplitude of an oscillation, standard deviation of noise, otherwise the
             disturbance.
         bound: 1σ bound of the disturbance; infinite if it is not claimed to hold.
-        level: How bad it is: of a size by the limits, WARN of noise, ERROR if the sensor is stuck
+        level: Severity: by the limits for a size, WARN for noise, ERROR for a sensor that is stuck
             or missing.
         since: Stamp at which the kind was first seen [ns], None if there never was another.
-        frequency: Of an oscillation [rad/s], else None.
+        frequency: Frequency of an oscillation [rad/s], else None.
     """
 
     kind: FaultKind = FaultKind.NONE
@@ -75,7 +75,7 @@ class Fault(NamedTuple):
     frequency: float | None = None
 
     def status(self, now: int, unit: str = "rad", output: str = "") -> Status:
-        """Return it for diagnostics, of one of several outputs, at a time of the stamps [ns]."""
+        """Return the fault for diagnostics at a time [ns]; `output` names one of several."""
         of_unit, of_output = f" [{unit}]" * bool(unit), f" of {output}" * bool(output)
         values = {
             "kind": self.kind.value,
@@ -92,9 +92,9 @@ class FaultMonitor:
     """Finds the faults of an estimator's sensors.
 
     Args:
-        estimator: Its model has the sensors' noise.
-        limits: When a disturbance is bad, and how long that, and a kind, must last; may be changed
-            at any time.
+        estimator: The estimator, whose model has the sensors' noise.
+        limits: Limits of a disturbance, and the time that a level or a kind must last; may be
+            changed at any time.
 
     Attributes:
         faults: The present fault of each sensor.
@@ -105,14 +105,14 @@ class FaultMonitor:
         self._stds, self._states = np.sqrt(np.diag(estimator.model["R"][0])), estimator.shape.n
         self.faults = [Fault() for _ in self._stds]
         self._looked, self._values = 0, np.full(len(self._stds), np.nan)
-        # Kind, level, and how each kind looked last, of each sensor.
+        # For each sensor: kind, level, and the latest fault of each kind.
         self._known = [
             (Debounce(FaultKind.NONE), Debounce(Level.OK), {FaultKind.NONE: Fault()})
             for _ in self._stds
         ]
 
     def update(self, estimate: Estimate, state: Record) -> None:
-        """Take in an estimate and the state behind it; ten times a second the faults are judged."""
+        """Take in an estimate and its state; the faults are judged ten times per second."""
         stamp = estimate.stamp
         if stamp - self._looked < _PERIOD * NANOSECONDS:
             return
@@ -126,7 +126,7 @@ class FaultMonitor:
         self._looked, self._values = stamp, state["sensors"]["value"][0].copy()
 
     def _seen(self, estimate: Estimate, state: Record) -> Iterator[Fault]:
-        """Yield the faults as they look at the moment."""
+        """Yield the momentary fault of each sensor."""
         best = likeliest(state)
         parts, supposed = best["x"][self._states + 1 :], _SUPPOSED.get(estimate.hypothesis)
         suspect = best["output"]

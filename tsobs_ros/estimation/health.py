@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Health of an estimator as data, which nodes, reports and `tsobs watch` only show."""
+"""Health of an estimator as data; nodes, reports and `tsobs watch` only show it."""
 
 import enum
 import math
@@ -18,10 +18,10 @@ from tsobs_ros.settings import check, live_setting
 
 T = TypeVar("T")
 
-# Distances of measurements in periods of the design that are worth a word. Beyond the one the
-# estimate may never settle below the certified bound; below the other much is wasted.
+# Intervals between measurements, in periods of the design, that are reported. Above the first, the
+# estimate may never settle below the certified bound; below the second, many samples are wasted.
 _MAX_PERIODS, _MIN_PERIODS = 1.02, 0.7
-# Distances of stamps that make a median.
+# Least number of intervals between stamps for a median.
 _ENOUGH = 7
 
 
@@ -35,7 +35,7 @@ class Level(enum.IntEnum):
 
 
 class Status(NamedTuple):
-    """One concern: its level, a sentence for people and values for programs."""
+    """One aspect of the health: its level, a sentence for people and values for programs."""
 
     name: str
     level: Level
@@ -47,8 +47,8 @@ class Code(enum.IntEnum):
     """A code of the compiled core with its meaning, which log, diagnostics and reports share.
 
     Attributes:
-        text: What it says, in a sentence.
-        remedy: What to do about it, "" if there is nothing to do.
+        text: Its meaning, in a sentence.
+        remedy: The remedy, "" if there is nothing to do.
     """
 
     text: str
@@ -61,12 +61,12 @@ class Code(enum.IntEnum):
 
     @property
     def level(self) -> Level:
-        """How bad it is."""
+        """Its severity."""
         return Level.OK
 
     @property
     def judged(self) -> tuple[Level, str]:
-        """How bad it is, and its text with the remedy."""
+        """Its severity, and its text with the remedy."""
         return self.level, f"{self.text}; {self.remedy}" if self.remedy else self.text
 
     @property
@@ -76,7 +76,7 @@ class Code(enum.IntEnum):
 
 
 class Phase(enum.IntEnum):
-    """How fresh the measurements behind an estimate are, from best to worst."""
+    """Freshness of the measurements behind an estimate, from best to worst."""
 
     TRACKING = 0
     COASTING = 1
@@ -85,13 +85,13 @@ class Phase(enum.IntEnum):
 
     @property
     def level(self) -> Level:
-        """How bad it is."""
+        """Its severity."""
         return (Level.OK, Level.WARN, Level.WARN, Level.ERROR)[self]
 
 
 @dataclass(frozen=True)
 class DisturbanceLimits:
-    """When a disturbance counts as a fault."""
+    """The limits from which on a disturbance counts as a fault."""
 
     warn: float = live_setting(
         0.2, "Disturbance magnitude for a warning", unit="rad", minimum=1e-6, maximum=10.0
@@ -119,7 +119,7 @@ class DisturbanceLimits:
 
 
 class Debounce(Generic[T]):
-    """Passes a value on once it has lasted, and when it began [ns], None if it was the first."""
+    """Passes a value on once it has lasted, with its first stamp [ns], None for the first value."""
 
     def __init__(self, value: T) -> None:
         self.value = value
@@ -128,7 +128,7 @@ class Debounce(Generic[T]):
         self._from: int | None = None
 
     def update(self, stamp: int, value: T, hold: float) -> T:
-        """Take in the value at a stamp [ns]; return the one that lasted `hold` [s]."""
+        """Take in the value at a stamp [ns]; return the value that has lasted `hold` [s]."""
         if value != self._candidate or self._from is None:
             self._candidate, self._from = value, stamp
         if stamp - self._from >= hold * 1e9 and value != self.value:
@@ -137,15 +137,15 @@ class Debounce(Generic[T]):
 
 
 def lasting(since: int | None, now: int) -> dict[str, str]:
-    """Return for how long something has been as it is, for a status; nothing if it always was."""
+    """Return the time since a change, for a status; nothing if there was no change."""
     return {} if since is None else {"since": f"for {max(0, now - since) * 1e-9:.1f} s"}
 
 
 class LastMinute:
     """The growth of counts over the last sixty updates, which are a second apart.
 
-    What was counted before the first update belongs to it. A count that falls, as after a restart,
-    goes on from there.
+    The first update includes everything counted before. A count that falls, as after a restart,
+    goes on from its new value.
     """
 
     def __init__(self) -> None:
@@ -164,8 +164,8 @@ class LastMinute:
 
 
 def rate_of(stamps: ArrayLike) -> float:
-    """Return how many of some stamps [ns] there are a second [Hz], by the median of their
-    distances; NaN of few."""
+    """Return the rate of stamps [ns] in Hz, by the median of their distances; NaN if there are too
+    few."""
     apart = np.diff(np.sort(stamps))
     apart = apart[apart > 0]
     return NANOSECONDS / float(np.median(apart)) if len(apart) >= _ENOUGH else math.nan
@@ -173,7 +173,7 @@ def rate_of(stamps: ArrayLike) -> float:
 
 def judge_rate(measured: float, wanted: float) -> tuple[int, str]:
     """Return 1 if measurements come at a lower rate [Hz] than the design's, -1 if at a much higher
-    one, else 0; and a sentence on it, with what to do."""
+    one, else 0; and a sentence with the finding and the remedy."""
     text = f"measurements come at {measured:{'.3g' if measured < 1000.0 else '.0f'}} Hz, the design"
     off = int(wanted > _MAX_PERIODS * measured) - int(wanted < _MIN_PERIODS * measured)
     if not off:

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Input and output of an estimator as plain records, and what their codes mean."""
+"""Input and output of an estimator as plain records, and the meaning of their codes."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -16,8 +16,8 @@ class Measurement(NamedTuple):
 
     Attributes:
         stamp: When the outputs were sampled [ns].
-        y: Measured outputs, of an arm [rad] or [rad/s], NaN if one is missing, shape (p,).
-        u: Inputs applied from this stamp until the next sample, of an arm the torque [N m],
+        y: Measured outputs, for an arm [rad] or [rad/s], NaN if missing, shape (p,).
+        u: Inputs applied from this stamp until the next sample, for an arm the torque [N m],
             shape (m,).
     """
 
@@ -31,10 +31,10 @@ USED = 0
 
 
 class RejectReason(Code):
-    """Why a measurement was not used; the text is its name in reports.
+    """The reason why a measurement was not used; the text is its name in reports.
 
-    If its torque is implausible or an input unknown, its outputs are still used; if it has no
-    outputs, its inputs.
+    If its torque is implausible or an input is unknown, its outputs are still used. If it has no
+    outputs, its inputs are still used.
     """
 
     NON_FINITE = 1, "non-finite", "the driver has no reading; see what it logs"
@@ -50,7 +50,7 @@ class RejectReason(Code):
 
 
 class Basis(Code):
-    """What the published bounds rest on; bad from `CONTRADICTED` on."""
+    """The basis of the published bounds; bad from `CONTRADICTED` on."""
 
     CERTIFIED = 0, "the bound is certified"
     LEARNT = 1, "the bound holds: it is certified but for the uncertainty of the learnt parameters"
@@ -72,15 +72,15 @@ class Basis(Code):
 
 
 class Learning(Code):
-    """What the learning of parameters does."""
+    """The state of the parameter learning."""
 
     NONE = 0, "nothing is learnt"
-    STARTING = 1, "learning waits until the estimate has settled"  # of version 0.7 and before
+    STARTING = 1, "learning waits until the estimate has settled"  # up to version 0.7
     ACTIVE = 2, "the parameters are being learnt"
 
 
 class Hypothesis(Code):
-    """What arm and sensor are taken for, once the design is 400 times less likely; bad then."""
+    """The named hypothesis: the design until it is 400 times less likely; any other one is bad."""
 
     AS_DESIGNED = 0, "arm and sensor behave as designed"
     FORCE = (
@@ -116,7 +116,7 @@ _HEALTH: dict[str, Any] = {
     "learning": Learning, "hypothesis": Hypothesis, "age": float,
 }  # fmt: skip
 HEALTH = tuple(_HEALTH)
-"""Fields of an estimate that say what its numbers are worth, in the order of the health topic."""
+"""Fields of an estimate that give the quality of its numbers, in the order of the health topic."""
 
 _EMPTY = np.zeros(0)
 
@@ -124,7 +124,7 @@ _EMPTY = np.zeros(0)
 class Estimate(NamedTuple):
     """The estimate at one instant, in physical units; absent quantities have length 0.
 
-    Its fields are those of `tsobs_ros.Estimates` at that instant, and
+    Its fields are those of `tsobs_ros.Estimates` at that instant, and these:
 
     Attributes:
         stamp: The instant [ns].
@@ -156,11 +156,11 @@ class Estimate(NamedTuple):
 
     @property
     def health(self) -> list[float]:
-        """What the numbers are worth, the fields of `HEALTH`."""
+        """The quality of the numbers, the fields of `HEALTH`."""
         return [float(getattr(self, name)) for name in HEALTH]
 
     @classmethod
     def of_health(cls, stamp: int, numbers: Sequence[float]) -> "Estimate":
-        """Return what is known of an estimate from its `health` alone."""
+        """Return an estimate that has only the fields of its `health`."""
         known = zip(_HEALTH.items(), numbers, strict=True)
         return cls(stamp, **{name: kind(number) for (name, kind), number in known})

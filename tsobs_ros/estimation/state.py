@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Records of an estimator: all that it remembers, its model, and what it says.
+"""Records of an estimator: its state, its model and its estimates.
 
-Copying a state is copying a record, two are equal if their bytes are, an array of them is a batch
-or a history. core/estimator.h lists and explains the fields of all records. Flags are integers, 0
-or 1.
+To copy a state is to copy its record. Two states are equal if their bytes are, and an array of
+states is a batch or a history. core/estimator.h explains the fields of all records. Flags are
+integers, 0 or 1.
 """
 
 import math
@@ -23,7 +23,7 @@ from tsobs_ros.model.prediction import Record
 
 
 class Shape(NamedTuple):
-    """Sizes of an estimator, as `estimator_sizes` in core/estimator.h has them."""
+    """Sizes of an estimator, as in `estimator_sizes` of core/estimator.h."""
 
     n: int
     plant: int
@@ -34,23 +34,23 @@ class Shape(NamedTuple):
 
 
 def likeliest(state: Record) -> Any:
-    """Return the likeliest hypothesis of a state, the same memory."""
+    """Return the likeliest hypothesis of a state, without copying it."""
     return state["hypotheses"][0, state["best"][0]]
 
 
 def numbers_of(records: Record) -> Array:
-    """Return the numbers of records, shape (numbers,), the same memory."""
+    """Return the numbers of records, shape (numbers,), without copying them."""
     return records.view(np.float64)
 
 
 def copy_records(source: Record) -> Record:
-    """Return a copy of some records, faster than NumPy, which copies field by field."""
+    """Return a copy of records; NumPy would be slower, since it copies field by field."""
     return numbers_of(source).copy().view(source.dtype)
 
 
 @cache
 def types_of(sizes: tuple[int, ...]) -> dict[str, Any]:
-    """Return the types of records with the sizes in a model record, by their names in the core."""
+    """Return the record types for the sizes of a model record, by their names in the core."""
     names = ("sensor", "hypothesis", "correction", "estimate", "work")
     types = {name: record_type(name, sizes) for name in names}
     inner = {"sensors": types["sensor"], "hypotheses": types["hypothesis"]}
@@ -72,12 +72,12 @@ def new_model(
         shape: Sizes of the estimator.
         period: Nominal sampling period [s].
         flow: The record of the prediction model.
-        auxiliary: Whether there are states of an unknown torque and of parts of the outputs, and
-            other hypotheses than the design.
+        auxiliary: Whether there are states for an unknown torque and for parts of the outputs, and
+            hypotheses besides the design.
         torque: How torques reach the motor of an arm.
     """
     n, plant, p, m, k, t = shape
-    # Torques on their way: one message per output and period, and some more as stamps jitter.
+    # Torques on their way: one message per output and period, and a few more for jitter.
     late = p * (math.ceil(torque.delay / period) + 1) + 1 if torque.delay else 0
     scratch = record_type("flow_step", flow["sizes"][0])
     sizes = (

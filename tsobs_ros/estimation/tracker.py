@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tracker of one joint: measurements in the order of their stamps, estimates at any stamp.
 
-Live, measurements are late, doubled, out of order, from the future or missing. What cannot be used
-is refused with a reason and counted. A late measurement is put in its place by rewinding a ring of
-states, one after each measurement, to the state before it, so the estimate equals, bit for bit, the
-one that arrival in order would have given. core/history.c does it.
+Live measurements may be late, doubled, out of order, from the future or missing. An unusable one is
+refused with a reason and counted. The tracker keeps a ring of states, one after each measurement.
+For a late measurement it rewinds to the state before, so the estimate equals, bit for bit, the one
+after arrival in order. core/history.c does this.
 """
 
 import math
@@ -34,7 +34,7 @@ from tsobs_ros.model.prediction import Record
 from tsobs_ros.series import NANOSECONDS, Stamps
 
 _BASES, _LEARNINGS, _HYPOTHESES = tuple(Basis), tuple(Learning), tuple(Hypothesis)
-"""By their codes: to make them from numbers would take longer."""
+"""Members by their codes; to make them from numbers would take longer."""
 
 _MEMORY = record_type("history")
 
@@ -47,17 +47,17 @@ _FOUND = {
 }
 
 _LONGEST = 2**61
-"""Longest time that is distinguished from a longer one, so that no sum of stamps overflows [ns]."""
+"""Longer times are treated as this long, so that no sum of stamps overflows [ns]."""
 
 
 class Outcomes(NamedTuple):
     """The outcomes of N measurements.
 
     Attributes:
-        codes: 0 of those used, else the code of a `RejectReason`, shape (N,).
-        output_codes: The same of each output, shape (N, p).
+        codes: 0 if the measurement was used, else the code of a `RejectReason`, shape (N,).
+        output_codes: The same for each output, shape (N, p).
         innovations: y − ŷ of each output, NaN if it was not used, shape (N, p).
-        expected_std: 1σ expected of each, shape (N, p).
+        expected_std: Expected 1σ of each innovation, shape (N, p).
     """
 
     codes: Integers
@@ -78,7 +78,7 @@ class TrackerRun(NamedTuple):
         rows: Estimates, NaN where there is none, shape (M,).
         there: Whether there is an estimate, shape (M,).
         newest: Stamp of the newest measurement in use [ns], shape (M,).
-        outcomes: Of the measurements.
+        outcomes: Outcomes of the measurements.
     """
 
     rows: Rows
@@ -88,7 +88,7 @@ class TrackerRun(NamedTuple):
 
 
 def require_steps(max_steps: int) -> None:
-    """Refuse a largest number of measurements in a history that the core has no room for."""
+    """Refuse a `max_steps` for which the core has no room."""
     if not 1 <= max_steps <= 10**6:
         raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
 
@@ -99,7 +99,7 @@ class Tracker:
     Args:
         estimator: The step functions.
         x_max: Half width of the certificate's domain of the first state; infinite if the domain is
-            no interval of it, as a T–S system's.
+            not an interval of that state, as for a T–S system.
         history: How far back a late measurement may reach [s].
         future_tolerance: How far ahead of `now` a stamp may lie [s].
         restart_after: A gap in the measurements longer than this restarts the estimator [s]; no
@@ -150,11 +150,11 @@ class Tracker:
         self._scalars = slice(len(self._vectors) - len(fields), None)
 
     def reset(self) -> None:
-        """Forget everything; afterwards the tracker is as a new one."""
+        """Forget everything; afterwards the tracker is like a new one."""
         self.memory[:] = self._unused
 
     def forget(self) -> None:
-        """Forget all measurements, but not the counts of them and of failures."""
+        """Forget all measurements, but keep the counts of measurements and failures."""
         judged = self.state["judged"]
         self.memory["refused"] += judged
         self.memory["accepted"] -= judged.sum()
@@ -178,19 +178,19 @@ class Tracker:
 
     @property
     def used(self) -> int:
-        """Number of measurements that were used, angle and torque."""
+        """Number of measurements of which both angle and torque were used."""
         return int(self.memory["accepted"][0] - self.state["judged"].sum())
 
     @property
     def rejected(self) -> Counter[RejectReason]:
         """Number of measurements not used, by reason."""
-        # Some are refused by the estimator itself, in part at least.
+        # The estimator itself refuses some measurements, or parts of them.
         counts = self.memory["refused"][0] + self.state["judged"][0]
         return Counter({reason: int(counts[reason]) for reason in RejectReason if counts[reason]})
 
     @property
     def rewinds(self) -> int:
-        """Number of late measurements put in their place."""
+        """Number of late measurements that were put in their place."""
         return int(self.memory["rewinds"][0])
 
     @property
@@ -205,7 +205,7 @@ class Tracker:
 
     @property
     def events(self) -> dict[str, int]:
-        """Counts of what was found up to the newest measurement, by name; none unsupervised."""
+        """Counts of findings up to the newest measurement, by name; none without supervision."""
         state, found = self.state, _FOUND if self.estimator.supervised else {}
         return {name: int(state[field][0]) for name, field in found.items()}
 
@@ -214,19 +214,19 @@ class Tracker:
         self.memory["refused"][0, reason] += count
 
     def offer(self, measurement: Measurement, now: int) -> Outcomes:
-        """Use one measurement, late by up to the history; as `offer_many`."""
+        """Use one measurement, which may be late by up to `history`; see `offer_many`."""
         stamp, y, u = measurement
         return self.offer_many([stamp], np.asarray(y)[np.newaxis], np.asarray(u)[np.newaxis], now)
 
     def offer_many(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int) -> Outcomes:
         """Use measurements in the order of their stamps, or refuse them.
 
-        However many are late, one rewind serves them all. Of those with the same stamp, the first
-        is used.
+        One rewind serves all late measurements. Of measurements with the same stamp, the first is
+        used.
 
         Args:
-            stamps: Of N measurements, in any order [ns], shape (N,).
-            y: Measured outputs, NaN of one that is missing, shape (N, p).
+            stamps: Stamps of N measurements, in any order [ns], shape (N,).
+            y: Measured outputs, NaN if missing, shape (N, p).
             u: Inputs from each measurement until the next one, shape (N, m).
             now: Time on the clock of the stamps [ns].
 
@@ -247,10 +247,10 @@ class Tracker:
     def follow(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Rows:
         """Use measurements one after the other, and return the estimates at their stamps.
 
-        Other threads of Python can run meanwhile.
+        Other Python threads can run meanwhile.
 
-        Arguments are those of `offer_many`, stamps ascending and later than any before. Rows are of
-        `Estimator.row_type`, NaN where there is no estimate, shape (N,).
+        Arguments are as for `offer_many`, but stamps must ascend and be later than all earlier
+        ones. Rows are of `Estimator.row_type`, NaN where there is no estimate, shape (N,).
 
         Raises:
             ModelError: The arrays have other shapes, or the stamps do not ascend.
@@ -269,16 +269,16 @@ class Tracker:
         ticks: Sequence[Integers],
         stale_after: float = math.inf,
     ) -> TrackerRun:
-        """Offer measurements, as of `offer_many`, and estimate at M ticks, as `follow`.
+        """Offer measurements, as in `offer_many`, and estimate at M ticks, as in `follow`.
 
         Args:
-            ticks: Stamps of the estimates and times on the clock [ns], and numbers of measurements
-                taken by the end of each tick.
+            ticks: Stamps of the estimates and times on the clock [ns], and the number of
+                measurements taken by the end of each tick.
             stale_after: Age of the newest measurement after which nothing is estimated [s].
         """
         run = _advance([self], (stamps, y, u), ticks, stale_after)
         for each, nothing in zip(run.outcomes, (0, 0, np.nan, np.nan), strict=True):
-            each[ticks[2][-1] if len(run.rows) else 0 :] = nothing  # of those that no tick took
+            each[ticks[2][-1] if len(run.rows) else 0 :] = nothing  # for those that no tick took
         return run
 
     def _checked(
@@ -297,8 +297,8 @@ class Tracker:
     def estimate(self, stamp: int) -> Estimate | None:
         """Return the estimate at a stamp [ns].
 
-        It is None before the first measurement, too long after the last, or if it is not finite,
-        which is counted.
+        It is None before the first measurement, too long after the last one, or if it is not
+        finite; such a failure is counted.
         """
         row = np.empty(self._width)
         if not native.history_estimate(*self._records, stamp, row):
@@ -319,15 +319,15 @@ class Tracker:
 def step_joints(
     trackers: Sequence[Tracker], stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int
 ) -> TrackerRun:
-    """Use a measurement of each of J joints, and estimate at a time, in one call of the core.
+    """Use one measurement of each of J joints, and estimate at one time, in one call of the core.
 
-    Rows and outcomes, one of each joint, are those of `Tracker.offer` and `Tracker.estimate`.
+    Rows and outcomes, one per joint, are those of `Tracker.offer` and `Tracker.estimate`.
 
     Args:
-        trackers: One for each joint, of designs with as many states, outputs, inputs and learnt
-            parameters, whatever their numbers.
-        stamps: Of the measurements [ns], shape (J,).
-        y: Measured outputs, NaN of one that is missing, shape (J, p).
+        trackers: One per joint. The designs have equally many states, outputs, inputs and learnt
+            parameters, but may have any values.
+        stamps: Stamps of the measurements [ns], shape (J,).
+        y: Measured outputs, NaN if missing, shape (J, p).
         u: Inputs from each measurement until the next one, shape (J, m).
         now: Time on the clock of the stamps, and of the estimates [ns].
 
@@ -364,6 +364,6 @@ def _advance(
         *(newest, there, rows, limit),
     )
     made, exists = first.estimator.rows_of(rows), there != 0
-    if np.count_nonzero(there) < count:  # which takes a tenth of `all`
+    if np.count_nonzero(there) < count:  # takes a tenth of the time of `all`
         made[~exists] = np.nan
     return TrackerRun(made, exists, newest, outcomes)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnosis of a fitted model on recordings: how well it predicts, and what it lacks."""
+"""Diagnosis of a fitted model on recordings: the quality of its predictions, and its gaps."""
 
 import math
 from collections.abc import Sequence
@@ -16,21 +16,21 @@ from tsobs_ros.identification.likelihood import GATE, Recording, innovations
 from tsobs_ros.model.disturbance import DisturbanceTerm
 
 HORIZON = 1.0
-"""Time for which a free run is compared [s]: longer ones of an arm without gravity drift away."""
+"""Length of a compared free run [s]; longer runs of an arm without gravity drift away."""
 
 _WARM_UP, _MAX_RUNS = 2.0, 20
 """Time of filtering before a free run [s], and number of free runs."""
 
 
 class OutputFit(NamedTuple):
-    """How well an output is predicted in the part that was held out.
+    """The quality of an output's prediction on the held-out part.
 
     Attributes:
         name: The output's name.
         one_step: 100 (1 − |y − ŷ|/|y − mean y|) with ŷ one sample ahead [%].
         free_run: The same with ŷ simulated from the torque alone for `HORIZON` [%].
-        innovation_std: 1σ of the innovations by what the model expects; 1 if it is right.
-        correlation: Of neighbouring innovations; 0 if they are white.
+        innovation_std: 1σ of the innovations relative to the expected one; 1 for a right model.
+        correlation: Correlation of neighbouring innovations; 0 if they are white.
     """
 
     name: str
@@ -41,16 +41,16 @@ class OutputFit(NamedTuple):
 
 
 class Traces(NamedTuple):
-    """The held-out part, or the end of the recording without one, for figures.
+    """The held-out part or, if there is none, the end of the recording, for figures.
 
     Attributes:
         time: [s], shape (n,).
         measured: Outputs, shape (n, p).
         predicted: One sample ahead, shape (n, p).
         simulated: From the torque alone, piece by piece, shape (n, p).
-        residual: Innovations by their expected 1σ, shape (n, p).
-        torque: Of the log [N m], shape (n,).
-        velocity: Estimated, of the motor [rad/s], shape (n,).
+        residual: Innovations divided by their expected 1σ, shape (n, p).
+        torque: Torque of the log [N m], shape (n,).
+        velocity: Estimated velocity of the motor [rad/s], shape (n,).
         unexplained: Torque at the motor that model and log lack [N m], shape (n,).
     """
 
@@ -67,9 +67,9 @@ class Traces(NamedTuple):
 def output_fits(
     joint: Joint, recording: Recording, begin: int
 ) -> tuple[tuple[OutputFit, ...], Traces]:
-    """Return how well each output is predicted from a sample on, and the traces.
+    """Return the quality of each output's prediction from sample `begin` on, and the traces.
 
-    The recording is whole, so that the filter has settled at `begin`.
+    The recording includes the samples before, so that the filter has settled at `begin`.
     """
     found, late = innovations(joint, recording), slice(begin, None)
     measured, simulated = recording.y[late], _simulated(joint, recording, begin)
@@ -96,7 +96,7 @@ def output_fits(
 
 
 def _simulated(joint: Joint, recording: Recording, begin: int) -> Array:
-    """Return the outputs simulated from the torque alone, from some starts for a horizon each."""
+    """Return the outputs simulated from the torque alone, for a horizon from several starts."""
     period = joint.request.period
     span, warm = round(HORIZON / period), round(_WARM_UP / period)
     made = np.full_like(recording.y, np.nan)
@@ -111,14 +111,14 @@ def _simulated(joint: Joint, recording: Recording, begin: int) -> Array:
 
 
 def _fit(measured: Array, made: Array) -> float:
-    """Return 100 (1 − |y − ŷ|/|y − mean y|) [%], NaN of outputs that do not move."""
+    """Return 100 (1 − |y − ŷ|/|y − mean y|) [%], NaN for an output that does not move."""
     spread = float(np.linalg.norm(measured - measured.mean())) if len(measured) else 0.0
     return 100.0 * (1.0 - float(np.linalg.norm(measured - made)) / spread) if spread else math.nan
 
 
 def unseen(unknowns: Unknowns, information: Array) -> tuple[str, ...]:
-    """Return the directions in which recordings, by their information (k, k), know less than the
-    prior, in words.
+    """Return in words the directions in which recordings, by their information (k, k), do not halve
+    the prior's 1σ.
     """
     values, vectors = np.linalg.eigh(information)
     found = []
@@ -142,11 +142,11 @@ _MOTIONS = {
     "time_constant": ": a longer recording would show it",
     "density": ": a longer recording would show it",
 }
-"""What would show a number, by a part of its name."""
+"""The motion that would show a number, by a part of the number's name."""
 
 
 def news(numbers: Sequence[Found]) -> tuple[list[str], list[str]]:
-    """Return what was found that the request did not have: what one can have, and the rest."""
+    """Return findings that the request did not have: those that a request can have, and others."""
     added, lacks = list[str](), list[str]()
     for each in numbers:
         name, _, last = each.name.rpartition(".")
@@ -173,7 +173,7 @@ def _unexplained(joint: Joint, recording: Recording) -> Array:
     known = request.torque_disturbance
     looking = replace(
         request,
-        # Else it would take most of the torque.
+        # Otherwise the process noise would explain most of the torque.
         process_noise=replace(request.process_noise, motor=0.0),
         torque_disturbance=TorqueDisturbance((*known.motor, quick), known.link),
     )

@@ -3,14 +3,14 @@
 """Excitation: a torque motion within limits that shows the wanted numbers of a joint.
 
 The link angle is a multisine q₁ = w(t) Σ aᵢ sin(ωᵢt + φᵢ) with a window w that begins and ends at
-rest, and the torque follows from the nominal arm backwards (the link angle is its flat output):
+rest. The torque follows from the inverse of the nominal arm (the link angle is its flat output):
 
     τ = J₁ q̈₁ + b₁ q̇₁ + mgl sin q₁,   q₂ = q₁ + τ/k,   u = J₂ q̈₂ + b₂ q̇₂ + τ
 
-So the nominal arm starts and ends at rest, and one without gravity does not drift. Of motions with
-phases and amplitudes at random, the one is taken whose recording would give the most information.
-Each is as large as the limits allow, for the nominal arm and for others within the request's
-uncertainty; how far they go is simulated.
+So the nominal arm starts and ends at rest, and an arm without gravity does not drift. The search
+draws motions with random phases and amplitudes, and takes the one whose recording would give the
+most information. Each motion is as large as the limits allow, in simulations of the nominal arm and
+of others within the request's uncertainty.
 """
 
 import math
@@ -41,30 +41,30 @@ from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.plant import ArmMotion, Friction, Scenario
 
 _MARGIN, _ANGLE_SHARE = 0.15, 0.9
-"""Share of the limits of angle and velocity that the arms that are tried leave free, and largest
-angle by the request's domain."""
+"""Share of the limits of angle and velocity that the trial arms leave free, and default largest
+angle relative to the request's domain."""
 
 _DRAWS, _TRIED = 64, slice(0, 17, 2)
-"""Random arms within the uncertainty, and the arms with which candidates are simulated: the nominal
-one and every second corner."""
+"""Number of random arms within the uncertainty, and the arms with which candidates are simulated:
+the nominal one and every second corner."""
 
 _BOUND, _RUBBING = 0.3, 0.04
 """Relative error of a number about which the request says nothing, and largest Coulomb friction of
-random arms by the torque of reference."""
+random arms relative to the reference torque."""
 
 _LONGEST = 600.0
 """Largest duration [s]."""
 
 _TONES, _KNOTS, _PERIODS, _BEYOND = 24, 6, 3.0, 2.5
 """Number of tones, and of frequencies at which their amplitudes are drawn; periods of the slowest
-in the motion; the fastest by the joint's resonance."""
+tone in the motion; fastest tone relative to the joint's resonance."""
 
 _FIRST, _ROUNDS, _SMALLEST = 0.3, 3, 1e-9
-"""Largest link angle of a motion at first [rad], the number of times that it is made larger or
-smaller, and an angle that no sensor shows [rad]."""
+"""Initial largest link angle of a motion [rad], the number of times that the motion is made larger
+or smaller, and an angle that no sensor shows [rad]."""
 
 _EDGE, _TAIL = 0.1, 2.0
-"""Share of the motion in which its window rises, and falls; time after it with limits [s]."""
+"""Share of the motion in which its window rises, or falls; time after it with limits [s]."""
 
 
 class Limits(NamedTuple):
@@ -80,17 +80,17 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True)
 class Excitation:
-    """A torque motion, and what it shows.
+    """A torque motion, and the numbers that it shows.
 
     Attributes:
-        request: Of the nominal arm.
+        request: Request of the nominal arm.
         time: Since the start [s], shape (n,).
         torque: At the motor, held from each sample to the next [N m], shape (n,).
-        angles: Of link and motor of the nominal arm [rad], shape (n, 2).
-        numbers: The wanted numbers, as a fit of a recording would know them.
-        limits: Largest torque, angle and velocity of link and motor that are allowed.
-        worst: What the farthest arm within the request's uncertainty reaches.
-        seed: Of the search.
+        angles: Angles of link and motor of the nominal arm [rad], shape (n, 2).
+        numbers: The wanted numbers, with the accuracy that a fit of a recording would have.
+        limits: Allowed torque, angle and velocity of link and motor.
+        worst: Largest values that the arms within the request's uncertainty reach.
+        seed: Seed of the search.
     """
 
     request: ArmRequest
@@ -103,7 +103,7 @@ class Excitation:
     seed: int
 
     def number(self, name: str) -> Found:
-        """Return how well a number is shown; one that is not wanted raises `KeyError`."""
+        """Return a wanted number with its expected accuracy; other names raise `KeyError`."""
         return found_named(self.numbers, name)
 
     @property
@@ -112,7 +112,7 @@ class Excitation:
         return tuple(each.name for each in self.numbers if not each.seen)
 
     def summary(self) -> dict[str, Any]:
-        """Return what is expected as plain data."""
+        """Return the expected result as plain data."""
         return {
             "duration": float(self.time[-1]),
             "samples": len(self.time),
@@ -157,7 +157,7 @@ time [s],torque [N m],expected_link_angle [rad],expected_motor_angle [rad]
 
 
 class _Motions:
-    """The motions of a request's arm within limits, and what their recordings would show."""
+    """The motions of a request's arm within limits, and the accuracy that recordings would give."""
 
     def __init__(
         self, request: ArmRequest, duration: float, limits: Limits, free: Sequence[str], seed: int
@@ -165,7 +165,7 @@ class _Motions:
         self.request, self.limits, arm = request, limits, request.arm
         self.times = np.arange(math.floor(duration * request.rate + 1e-9) + 1) / request.rate
         slowest = math.tau * _PERIODS / duration
-        # Link and motor swing against each other at the one, the arm at the other.
+        # Link and motor swing against each other at `joint`, the whole arm at `swing`.
         joint = math.sqrt(arm.stiffness / arm.link_inertia + arm.stiffness / arm.motor_inertia)
         swing = math.sqrt(arm.gravity_torque / (arm.link_inertia + arm.motor_inertia))
         mode, fastest = min(swing or math.inf, 0.5 * joint), math.tau * request.rate / 8.0
@@ -189,7 +189,7 @@ class _Motions:
         self._gains = 1.0 / np.abs(torque)
         at = self.times / max(self.times[-1], 1e-9)
         rise = np.clip(np.minimum(at, 1.0 - at) / _EDGE, 0.0, 1.0)
-        # Four derivatives are smooth.
+        # The first four derivatives are continuous.
         self._window = rise**5 * (126 + rise * (-420 + rise * (540 + rise * (-315 + rise * 70))))
 
         self.unknowns = unknowns = Unknowns.of(request, free)
@@ -199,13 +199,13 @@ class _Motions:
         prior = unknowns.at(np.zeros(unknowns.count))
         rubbing = _scenario(prior.request, prior.friction)
         self._recorded = replace(rubbing, process_noise=request.process_noise)
-        # A noise shows with any motion.
+        # Any motion shows the noises.
         noises = unknowns.noises().numbers
         moved = [each not in noises for each in unknowns.numbers]
         self.wanted = np.array(moved) if any(moved) else np.full(unknowns.count, True)
 
     def drawn(self, rng: np.random.Generator) -> Array:
-        """Return the link angle of a motion at random, up to a scale, shape (n,)."""
+        """Return the link angle of a random motion, up to a scale, shape (n,)."""
         phases = rng.uniform(0.0, math.tau, _TONES)
         knots, levels = np.linspace(0.0, _TONES - 1.0, _KNOTS), rng.standard_normal(_KNOTS)
         amplitudes = self._gains * np.exp(np.interp(np.arange(_TONES), knots, levels))
@@ -216,7 +216,7 @@ class _Motions:
         return np.asarray(angle / np.abs(angle).max())
 
     def torque(self, angle: Array) -> Array:
-        """Return the torque under which the nominal arm moves so, shape (n,) [N m]."""
+        """Return the torque that gives the nominal arm this link angle, shape (n,) [N m]."""
         arm = self.request.arm
         rate = 1j * np.fft.rfftfreq(len(angle), self.request.period) * math.tau
         rate[np.abs(rate) > 4.0 * self.frequencies[-1]] = 0.0
@@ -241,9 +241,9 @@ class _Motions:
         return np.append(np.abs(torque).max(), np.maximum(largest[:2], largest[2:]))
 
     def scaled(self, angle: Array, arms: Sequence[Scenario]) -> tuple[Array, Limits]:
-        """Return torque and what is reached of a motion as large as the limits of all arms allow.
+        """Return the torque of a motion as large as the limits allow for all arms, and its reach.
 
-        It is made larger or smaller for some rounds, then smaller until the limits hold.
+        It is made larger or smaller for some rounds, then only smaller until the limits hold.
         """
         scale = _FIRST
         for place in count():
@@ -253,7 +253,7 @@ class _Motions:
             if place >= _ROUNDS and ratio <= 1.0:
                 break
             scale *= min(max(0.99 / ratio, 0.1), 3.0 if place < _ROUNDS else 1.0)
-            # Beyond its limit of angle nothing is gained.
+            # A scale beyond the limit of the angle is never needed.
             scale = min(scale, self.limits.angle)
             if scale < _SMALLEST:
                 raise ModelError(
@@ -262,7 +262,7 @@ class _Motions:
         return torque, Limits(*reached.tolist())
 
     def std(self, torque: Array) -> Array:
-        """Return 1σ of the numbers after a recording, by that before it, shape (k,)."""
+        """Return the 1σ of the numbers after a recording, relative to that before, shape (k,)."""
         y = simulated(self._recorded, torque)[:, self._measured] + self._noise
         durations, k = np.full(len(torque), self.request.period), self.unknowns.count
         recording = Recording(self.times, durations, y, torque)
@@ -285,23 +285,23 @@ def excite(
     """Return a torque motion within limits that shows a joint's numbers to `fit`.
 
     The limits hold in simulation, with a margin, for the request's arm and for others within its
-    `uncertainty` (±30 % of what that does not name), from rest at 0.
+    `uncertainty` (±30 % for numbers that it does not name), from rest at 0.
 
     Args:
         request: An arm's request, e.g. with the numbers of data sheets.
-        duration: Of the motion [s].
+        duration: Duration of the motion [s].
         max_torque: Largest torque at the motor [N m]; half of the request's `torque_limit`, at most
             the gravity torque, or 10 rad/s² of both inertias without gravity.
         max_angle: Largest angle of link and motor [rad]; 0.9 of the request's `x_max`.
-        max_velocity: Largest velocity of both [rad/s]; that of the request's reach.
-        free: Names of the wanted numbers, as of `fit`; all but the torque's gain if empty.
-        seed: Of the search: the same seed gives the same motion.
-        candidates: Number of motions that the search tries; 120, fewer of long ones, if None.
+        max_velocity: Largest velocity of both [rad/s]; the velocity of the request's reach.
+        free: Names of the wanted numbers, as in `fit`; all but the torque's gain if empty.
+        seed: Seed of the search; the same seed gives the same motion.
+        candidates: Number of motions that the search tries; if None, 120, fewer for long ones.
         advance: Called with the number of motions that were tried, for progress.
 
     Raises:
-        ModelError: The request is for no arm, a name is unknown, a limit is beyond the request's,
-            or the duration is too short for the slowest frequency.
+        ModelError: The request is not for an arm, a name is unknown, a limit is beyond the
+            request's, or the duration is too short for the slowest frequency.
 
     >>> import tsobs_ros as ts
     >>> motion = ts.excite(ts.ArmRequest(rate=50.0), duration=20.0, candidates=1)
@@ -324,7 +324,7 @@ def excite(
         candidates = round(min(120.0, max(20.0, 3600.0 / duration)))
     elif candidates < 1:
         raise ModelError(f"candidates: expected at least 1, got {candidates}")
-    # What a fit would find of delays, gain and offset does not depend on theirs.
+    # The accuracy of a fit does not depend on the values of delays, gain and offset.
     known, request = request, request.at_rate(request.rate)
     inner = Limits(at_motor, *((1.0 - _MARGIN) * each for each in limits[1:]))
     motions = _Motions(request, duration, inner, free, seed)
@@ -355,7 +355,7 @@ def excite(
 def _limits(
     request: ArmRequest, torque: float | None, angle: float | None, velocity: float | None
 ) -> Limits:
-    """Return limits, those that are None from a request."""
+    """Return limits, with the request's in place of those that are None."""
     known = request.torque_limit
     largest = known if known and known < NO_LIMIT else math.inf
     found = Limits(
@@ -412,7 +412,7 @@ def trial_arms(request: ArmRequest, draws: int, seed: int) -> list[Scenario]:
     for *errors, link, motor, motor_rub, link_rub in [*corners, *drawn.tolist()]:
         changes = {}
         for (name, bound), error in zip(bounds.items(), errors, strict=True):
-            # Those of inertias are errors of their inverses.
+            # The errors of inertias are errors of their inverses.
             power = -1.0 if UNCERTAINTY[name].endswith("inverse_inertia") else 1.0
             changes[name] = getattr(arm, name) * (1.0 + error * bound) ** power
         for name, error in (("link_damping", link), ("motor_damping", motor)):

@@ -39,7 +39,7 @@ Advance = Callable[[int], None]
 """Called with the number of filtered samples."""
 
 _START_SAMPLES, _MIDDLE_SAMPLES = 4000, 12_000
-"""Samples with which starts are compared, and those that are fitted before all of them."""
+"""Number of samples on which starts are compared, and number that is fitted before all samples."""
 
 _STARTS, _FEW_STEPS, _MAX_STEPS = 3, 15, 40
 
@@ -47,14 +47,14 @@ _POOR = 85.0
 """Share of the outputs that a free run must explain [%]; else disturbed sensors are tried."""
 
 _KNOWN, _MOST = 0.02, 0.8
-"""Relative error of a number that need not be learnt, and the largest that a request may name."""
+"""Relative error below which a number need not be learnt, and largest error in a request."""
 
 _TOLERANCE = 0.02
-"""Gain of a step that is expected and no longer taken [nat]: a fifth of a σ of a number."""
+"""Expected gain below which no further step is taken [nat]: a fifth of a σ of a number."""
 
 
 class Optimum(NamedTuple):
-    """The most likely numbers: what was estimated, where, 1σ (in units of the priors), and L there.
+    """The most likely numbers: coordinates and 1σ in units of the priors, and the likelihood there.
 
     `coordinates` and `std` have the shape (k,).
     """
@@ -71,7 +71,7 @@ class Optimum(NamedTuple):
 
     @property
     def numbers(self) -> tuple[Found, ...]:
-        """The numbers as they are reported."""
+        """The numbers in the form of reports."""
         each = zip(self.unknowns.numbers, self.coordinates.tolist(), self.std.tolist(), strict=True)
         return tuple(number.found(at, std) for number, at, std in each)
 
@@ -87,8 +87,8 @@ def maximise(
 ) -> Optimum:
     """Return the most likely numbers.
 
-    First on a short part from several points, without a gate; then on everything from the best of
-    them, or from `begin`. The Hessian is Fisher's information with the prior's, in a trust region.
+    The search begins on a short part from several points, without a gate, and goes on with all data
+    from the best of them or `begin`. The trust region uses Fisher's information plus the prior's.
     """
     k, rng, best = unknowns.count, np.random.default_rng(0), begin
     if best is None:
@@ -103,13 +103,13 @@ def maximise(
     best = _search(gated, best, steps)
     made = gated.evaluate(best)
     inverse = np.linalg.inv(made.information + np.eye(k))
-    # White innovations make both alike; coloured ones do not, and then their spread counts.
+    # White innovations make both alike; for coloured ones the larger counts.
     robust = inverse @ (made.spread + np.eye(k)) @ inverse
     return Optimum(unknowns, best, np.sqrt(np.maximum(np.diag(robust), np.diag(inverse))), made)
 
 
 def _search(likelihood: Likelihood, start: Array, steps: int) -> Array:
-    """Return the point of least cost that so many steps lead to."""
+    """Return the point of least cost after at most so many steps."""
     unit, least = np.eye(len(start)), math.inf
 
     def settle(intermediate_result: OptimizeResult) -> None:
@@ -117,7 +117,7 @@ def _search(likelihood: Likelihood, start: Array, steps: int) -> Array:
         made = likelihood.evaluate(intermediate_result.x)
         gained, least = least - made.cost, made.cost
         step = np.linalg.solve(made.information + unit, made.gradient)
-        # Of a wrong model the information is not the curvature: small steps go on for ever.
+        # For a wrong model the information is not the curvature, and small steps never end.
         if 0.5 * made.gradient @ step < _TOLERANCE or 0.0 < gained < 5.0 * _TOLERANCE:
             raise StopIteration
 
@@ -135,9 +135,9 @@ def _search(likelihood: Likelihood, start: Array, steps: int) -> Array:
 
 
 def _with_zero(optimum: Optimum, recording: Recording, advance: Advance) -> Optimum:
-    """Return the optimum with the first angle's zero as it is, unless it is surely another one.
+    """Return the optimum with the first angle's zero unchanged, unless its offset is significant.
 
-    Gravity shows it, but a torque's offset does nearly the same.
+    Gravity shows this offset, but an offset of the torque has nearly the same effect.
     """
     for place, each in enumerate(optimum.numbers):
         if each.name.endswith("_angle.offset") and not each.significant:
@@ -156,9 +156,9 @@ def _with_disturbed_sensor(
 ) -> tuple[ArmRequest, Optimum, list[str]]:
     """Return request and optimum with a drifting sensor if that explains far more of the motion.
 
-    A precise sensor of an arm that is not quite the model, such as one with a flexible link, is
-    likeliest with so much process noise that nothing else is left to be found. The innovations are
-    small then, but a free run fails. It succeeds if the sensor may be off for a while.
+    If a precise sensor measures an arm that differs from the model, e.g. by a flexible link, the
+    most likely process noise is so large that nothing else can be found. Innovations are then
+    small, but a free run fails. It succeeds if the sensor may be off for a while.
     """
     part = recording.middle(_MIDDLE_SAMPLES)
     numbers = zip(optimum.unknowns.numbers, optimum.coordinates.tolist(), strict=True)
@@ -182,7 +182,7 @@ def _with_disturbed_sensor(
 
 
 def _free_run(joint: Joint, recording: Recording) -> float:
-    """Return the share of the outputs that free runs explain [%], the least of them."""
+    """Return the share of an output that free runs explain [%], the least of all outputs."""
     fits, _ = output_fits(joint, recording, recording.count // 4)
     return min(each.free_run for each in fits)
 
@@ -190,10 +190,10 @@ def _free_run(joint: Joint, recording: Recording) -> float:
 def _observable(optimum: Optimum, recording: Recording, advance: Advance) -> ArmRequest:
     """Return the request of an observer, which has Coulomb friction as a torque disturbance.
 
-    A sign has no bounded slope, so no certificate covers friction in the model; as a Gauss–Markov
-    torque it is covered. Its 1σ is the friction's size and its time constant the time between two
-    reversals: likelier ones are shorter, and do not allow for friction that lasts. The noises are
-    the likeliest of a filter without friction.
+    A sign has no bounded slope, so no certificate covers friction in the model; it does cover a
+    Gauss–Markov torque, with the friction's size as its 1σ and the time between two reversals as
+    its time constant. Likelier time constants are shorter, but do not allow for lasting friction.
+    The noises are the likeliest of a filter without friction.
     """
     joint, numbers, known = optimum.joint, optimum.numbers, list[str]()
     request, found = joint.request, {each.name: each for each in numbers}
@@ -257,21 +257,21 @@ def fit(
     """Fit the numbers of a joint to recordings.
 
     Args:
-        request: An arm's request, e.g. with the numbers of data sheets: they are where the search
-            starts, and its `uncertainty` says how far off they may be.
+        request: An arm's request, e.g. with the numbers of data sheets. The search starts at these
+            numbers; the request's `uncertainty` limits how far off they are expected to be.
         logs: Recordings: paths of CSV logs or bags, or tuples (time, angle, torque) of arrays.
         free: Names of the numbers to estimate, such as "stiffness" or "torque.delay"; all but the
             torque's gain if empty.
         held_out: Share at the end of each recording that is not fitted but predicted.
-        columns: Of CSV logs: titles by what they are, as of `tsobs estimate --columns`.
-        units: Of CSV logs: units by quantity.
+        columns: For CSV logs: titles by quantity, as in `tsobs estimate --columns`.
+        units: For CSV logs: units by quantity.
         joint: Name of the joint in the recordings; needed if there are several.
         topic: Topic of the measurements in bags; None if there is only one.
         advance: Called with the number of filtered samples, for progress.
 
     Raises:
-        ModelError: The request is for no arm, or a name is unknown.
-        LogError: A recording is of no use; one line says why.
+        ModelError: The request is not for an arm, or a name is unknown.
+        LogError: A recording is unusable; one line gives the reason.
         BagReadError: A bag cannot be read.
 
     >>> import tsobs_ros as ts

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numbers of a joint that a recording can show, each with its prior, and the joint they make.
 
-A number above zero is estimated by its logarithm, so that it stays there and its prior is a factor;
-friction, which may be nothing, too. An offset and delays are estimated as they are. The torque's
-gain is fixed unless it is asked for: it scales inertias, stiffness, gravity and friction alike, so
-only a number among them that is known could show it.
+A number above zero is estimated by its logarithm, so that it stays above zero and its prior is a
+factor. This includes friction, although it may be zero. Offsets and delays are estimated directly.
+The torque's gain is fixed unless it is asked for: it scales inertias, stiffness, gravity and
+friction alike, so a recording shows it only if one of these is known.
 """
 
 import math
@@ -33,7 +33,7 @@ _UNITS = {
     "link_friction": "N m", "motor_friction": "N m", "offset": "N m", "delay": "s",
     "time_constant": "s", "frequency": "rad/s", "link": "rad²/s³", "motor": "rad²/s³",
 }  # fmt: skip
-"""By the last part of a number's name."""
+"""Units by the last part of a number's name."""
 
 UNCERTAINTY = {
     "stiffness": "stiffness",
@@ -44,15 +44,15 @@ UNCERTAINTY = {
 """Numbers of the arm, each with the entry of `uncertainty` that bounds its relative error."""
 
 _UNKNOWN, _NOISE, _ZERO = 0.5, 2.0, 0.05
-"""1σ of the logarithm of a number of the arm about which the request says nothing, a factor 1.6,
-and of a noise, a factor 7; 1σ of the zero of an angle's sensor [rad]."""
+"""1σ of the logarithm of an arm's number about which the request says nothing (a factor of 1.6),
+and of a noise (a factor of 7); 1σ of the zero of an angle's sensor [rad]."""
 
 _BOUND_STD = 1.0 / math.sqrt(3.0)
-"""1σ of a number that is anywhere within bounds of ±1."""
+"""1σ of a number that is uniformly distributed within ±1."""
 
 _SMALL = 0.02
-"""A damping or friction that a request leaves out is looked for from this share on: of the torque
-of reference at the speed of a swing."""
+"""Start value of a damping or friction that a request omits, as a share of the reference torque;
+for a damping, at the speed of a swing."""
 
 
 class Found(NamedTuple):
@@ -62,7 +62,7 @@ class Found(NamedTuple):
         name: Its place in the request, e.g. "arm.stiffness" or "motor_angle.measurement_std".
         unit: Its unit, empty for none.
         before: The request's value.
-        value: The likeliest one.
+        value: The likeliest value.
         std: Its 1σ.
         prior_std: 1σ of the value without the recordings.
     """
@@ -81,7 +81,7 @@ class Found(NamedTuple):
 
     @property
     def significant(self) -> bool:
-        """Whether it is surely not 0."""
+        """Whether it differs from 0 by more than 3σ."""
         return abs(self.value) > 3.0 * self.std
 
 
@@ -89,9 +89,9 @@ class Number(NamedTuple):
     """A number of a joint and its prior.
 
     Attributes:
-        name, unit, before: As of `Found`.
-        prior_std: 1σ beforehand: of the logarithm if `positive`.
-        start: Where to look from: the request's value, or what stands for nothing.
+        name, unit, before: As in `Found`.
+        prior_std: 1σ of the prior, of the logarithm if `positive`.
+        start: Start of the search: the request's value, or a small one in place of zero.
         positive: Whether its logarithm is estimated.
     """
 
@@ -109,14 +109,14 @@ class Number(NamedTuple):
         return self.start + coordinate * self.prior_std
 
     def found(self, coordinate: float, std: float) -> Found:
-        """Return what is known of the number from a coordinate and its 1σ."""
+        """Return the number as found at a coordinate with its 1σ."""
         value = self.value(coordinate)
         unit = self.prior_std * (value if self.positive else 1.0)
         return Found(self.name, self.unit, self.before, value, std * unit, unit)
 
 
 def found_named(numbers: Sequence[Found], name: str) -> Found:
-    """Return the number of a name, which may leave out `arm.`; others raise `KeyError`."""
+    """Return the number of a name, which may omit `arm.`; unknown names raise `KeyError`."""
     by_name = {each.name: each for each in numbers}
     return by_name.get(name) or by_name[f"arm.{name}"]
 
@@ -135,13 +135,13 @@ def table(numbers: Sequence[Found], columns: Mapping[str, str]) -> list[str]:
 
 @dataclass(frozen=True)
 class Joint:
-    """A request with what only a recording needs.
+    """A request with the numbers that only a recording needs.
 
     Attributes:
-        request: Of an arm, without the path of the torque and the outputs' delays.
-        extras: Those, by name: the torque's gain, offset [N m] and delay [s], which acts before its
-            stamp below 0; Coulomb friction [N m]; of each output its delay [s] and its offset, what
-            it shows at 0 (rad, rad/s).
+        request: Request of an arm, without the path of the torque and the outputs' delays.
+        extras: The other numbers, by name: the torque's gain, offset [N m] and delay [s], below 0
+            if it acts before its stamp; Coulomb friction [N m]; of each output its delay [s] and
+            its offset, which is its value at 0 (rad, rad/s).
     """
 
     request: ArmRequest
@@ -169,7 +169,7 @@ class Joint:
         """Return the request with the torque's path and the outputs' delays, if they are shown."""
         kept = {name: value if name in shown else 0.0 for name, value in self.extras.items()}
         delays = [kept[f"{name}.delay"] for name in self.request.output_names]
-        # What counts is when an output is measured after the torque was commanded.
+        # Only the time from the command of a torque to the measurement of an output counts.
         late = max(0.0, -min(delays))
         path = self.extras[TORQUE_GAIN], kept[OFFSET], max(0.0, kept[DELAY] - late)
         outputs = self.request.outputs and [
@@ -188,8 +188,8 @@ class Unknowns:
 
     @classmethod
     def of(cls, request: ArmRequest, free: Sequence[str] = ()) -> "Unknowns":
-        """Return the unknown numbers of a request: all but the torque's gain, or those of some
-        names or beginnings of them.
+        """Return the unknown numbers of a request: all but the torque's gain, or those with names
+        or beginnings of names in `free`.
 
         Raises:
             ModelError: A name is unknown.
@@ -205,15 +205,15 @@ class Unknowns:
 
     @property
     def count(self) -> int:
-        """How many they are."""
+        """Number of unknowns."""
         return len(self.numbers)
 
     def without(self, *names: str) -> "Unknowns":
-        """Return all but some of them."""
+        """Return all unknowns except those with some names."""
         return replace(self, numbers=tuple(one for one in self.numbers if one.name not in names))
 
     def noises(self) -> "Unknowns":
-        """Return those of noises and disturbances, which are no properties of arm and drive."""
+        """Return the unknowns of noises and disturbances, without those of arm and drive."""
         own, ends = ("arm.", "torque.", *FRICTION), (".delay", ".offset")
         names = [each.name for each in self.numbers]
         return self.without(*(n for n in names if n.startswith(own) or n.endswith(ends)))
@@ -239,7 +239,7 @@ def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
 
 
 def require_arm(request: object) -> None:
-    """Refuse a request that is for no arm."""
+    """Refuse a request that is not for an arm."""
     if not isinstance(request, ArmRequest):
         raise ModelError("request: expected one for an arm; a T-S system has no numbers to fit")
 
@@ -263,7 +263,7 @@ def numbers_of(request: ArmRequest) -> list[Number]:
         units = {"density": f"({unit})²/s", "rate_density": f"({unit})²/s³", "std": unit}
         for place, term in enumerate(terms):
             for key, value in term.items():
-                # A recording does not show those of its start.
+                # A recording does not show initial values.
                 if key != "kind" and not key.startswith("initial_") and value:
                     std = 0.1 if key == "frequency" else _NOISE
                     add(f"{prefix}.{place}.{key}", float(value), std, unit=units.get(key, ""))
@@ -298,10 +298,10 @@ def numbers_of(request: ArmRequest) -> list[Number]:
 
 
 def delayed(torque: Array, durations: Array, delay: float) -> Array:
-    """Return the mean over each step of a held torque that acts later by a delay, or earlier."""
+    """Return the mean over each step of a held torque that acts later (or earlier) by a delay."""
     if delay == 0.0:
         return torque
-    # Before the first sample and behind the last one the torque is what it is there.
+    # Before the first sample and after the last one the torque is constant.
     steps, u = np.pad(durations, 1, constant_values=abs(delay)), np.pad(torque, 1, mode="edge")
     times = np.concatenate([[0.0], np.cumsum(steps)])
     sums = np.concatenate([[0.0], np.cumsum(u * steps)])

@@ -7,7 +7,7 @@ With the innovation e of each output given all before it and its variance s,
     −2 log L = Σ e²/s + log s
 
 (the prediction error decomposition; an innovation beyond the gate counts as one at the gate and is
-not used). With derivatives of e and s by the numbers, the Fisher information is
+not used). With derivatives of e and s with respect to the numbers, the Fisher information is
 
     I = Σ (∂e ∂eᵀ)/s + (∂log s ∂log sᵀ)/2
 """
@@ -30,14 +30,14 @@ from tsobs_ros.model.arm import QUANTITIES
 
 WORKERS = 2
 BLOCKS = 40
-"""Parts of a recording whose scores are compared: their spread is that of the estimates, whatever
-the innovations are correlated with."""
+"""Number of parts of a recording whose scores are compared. Their spread gives that of the
+estimates, even if the innovations are correlated."""
 
 GATE = 6.0
 """Sigmas of an innovation from which on it is an outlier, once the numbers are about right."""
 
 _STEP = 1e-2
-"""Step of a difference, by the 1σ that the number is known to."""
+"""Step of a finite difference, relative to the 1σ of the number."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Recording:
 
     Attributes:
         time: Since the first sample [s], shape (n,).
-        durations: From each sample to the next [s], below 0 where a gap begins, behind which a
+        durations: From each sample to the next [s], below 0 at the start of a gap, after which a
             filter starts again, shape (n,).
         y: Outputs of the request, NaN if missing, shape (n, p).
         u: Torque held from each sample on [N m], shape (n,).
@@ -63,11 +63,11 @@ class Recording:
         return len(self.time)
 
     def part(self, begin: int, end: int) -> "Recording":
-        """Return the samples from one on up to another."""
+        """Return the samples from `begin` up to, but not including, `end`."""
         return Recording(*(values[begin:end] for values in vars(self).values()))
 
     def middle(self, count: int) -> "Recording":
-        """Return so many samples about the middle, all if it has fewer."""
+        """Return `count` samples about the middle, or all if there are fewer."""
         begin = max(0, (self.count - count) // 2)
         return self.part(begin, begin + count)
 
@@ -81,12 +81,12 @@ class Recording:
 
 
 class Innovations(NamedTuple):
-    """What a filter did not expect.
+    """The innovations of a filter.
 
     Attributes:
         errors: y − ŷ of each output given those before it, NaN if it is missing, shape (n, p).
-        variances: Expected of their squares, shape (n, p).
-        states: Predicted before each sample, in design coordinates, shape (n, states).
+        variances: Expected squares of the errors, shape (n, p).
+        states: Predicted states before each sample, in design coordinates, shape (n, states).
     """
 
     errors: Array
@@ -95,16 +95,16 @@ class Innovations(NamedTuple):
 
     @property
     def standardised(self) -> Array:
-        """The errors by their expected 1σ, shape (n, p)."""
+        """The errors divided by their expected 1σ, shape (n, p)."""
         return np.asarray(self.errors / np.sqrt(self.variances))
 
 
 def innovations(
     joint: Joint, recording: Recording, *, gate: float = GATE, corrected_until: int | None = None
 ) -> Innovations:
-    """Filter a recording by a joint's model; an output beyond so many sigmas is not used.
+    """Filter a recording by a joint's model; outputs beyond `gate` sigmas are not used.
 
-    From a sample on none may be used: the innovations are then those of a simulation.
+    From sample `corrected_until` on none is used; the innovations are then those of a simulation.
     """
     request = joint.request
     covariances = (request.measurement_covariance, request.initial_covariance)
@@ -145,10 +145,10 @@ class Evaluation(NamedTuple):
     """The likelihood at one point, with its derivatives.
 
     Attributes:
-        cost: −log L, up to a constant, and the prior's share.
-        gradient: Of the cost by the coordinates, shape (k,).
-        information: Of the recording, without the prior, shape (k, k).
-        spread: Σ of products of the scores of blocks, shape (k, k).
+        cost: −log L, up to a constant, plus the prior's share.
+        gradient: Gradient of the cost with respect to the coordinates, shape (k,).
+        information: Information of the recording, without the prior's, shape (k, k).
+        spread: Sum over blocks of the products of their scores, shape (k, k).
         outliers: Number of innovations beyond the gate.
     """
 
@@ -191,7 +191,7 @@ class Likelihood:
             return found.standardised[self._there], np.log(found.variances[self._there])
 
     def cost(self, coordinates: Array) -> float:
-        """Return −log L with the prior's share; infinite where the filter fails."""
+        """Return −log L with the prior's share; infinite if the filter fails."""
         try:
             errors, logs = self._filtered(coordinates, self.recording, self._gate)
         except (ValueError, OverflowError):
@@ -210,7 +210,7 @@ class Likelihood:
             return self._known[key]
         errors, logs = self._filtered(coordinates, self.recording, self._gate)
         regular = errors * errors <= self._gate * self._gate
-        # A sample that is an outlier at one of two points only would make their difference a jump.
+        # If a sample were an outlier at only one of two points, their difference would jump.
         y = self.recording.y.copy()
         y[self._there] = np.where(regular, y[self._there], np.nan)
         cleaned = replace(self.recording, y=y)
@@ -221,7 +221,7 @@ class Likelihood:
             (np.stack(shifted, axis=1) - here[:, None]) / self._spacing
             for here, shifted in zip((errors, logs), zip(*moved, strict=True), strict=True)
         )
-        # ∂e/√s at fixed s: the standardised innovation's own derivative lacks its share of s.
+        # ∂e/√s at fixed s: the derivative of the standardised innovation also has a share from ∂s.
         by_error += 0.5 * errors[:, None] * by_log
         by_error[~regular] = by_log[~regular] = 0.0
         squares = np.where(regular, errors * errors, 1.0)
@@ -238,7 +238,7 @@ class Likelihood:
             blocks.T @ blocks,
             int((~regular).sum()),
         )
-        # Next differences by what is known here.
+        # The information gives the steps of the next differences.
         self._spacing = np.maximum(_STEP / np.sqrt(np.diag(information) + 1.0), 1e-7)
         self._known = {key: made}
         return made

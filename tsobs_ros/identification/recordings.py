@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings for a fit, from logs, bags and arrays, and what is wrong with them in one line.
+"""Recordings for a fit, from logs, bags and arrays, with errors that are explained in one line.
 
-People get wrong the torque's sign, a gear ratio, and units: each shows in a likelihood that is far
-better with another sign or scale, or in angles that leave the domain.
+Common mistakes are the torque's sign, a gear ratio, and units. They show in a likelihood that is
+far better with another sign or scale, or in angles that leave the domain.
 """
 
 import math
@@ -31,18 +31,18 @@ LEAST_SAMPLES, LEAST_TIME = 300, 2.0
 """Shortest recording, in samples and [s]."""
 
 _GAP, _JITTER = 3.5, 0.02
-"""Periods between samples that begin a gap, in which the torque is not known, and the share of a
-period within which times are taken for even."""
+"""Periods between samples from which on there is a gap, in which the torque is not known, and the
+share of a period within which times count as even."""
 
 _FAR, _FARTHEST = 0.1, 50.0
-"""Distance of two angles' zeros that no spring's deflection makes, and an angle that no joint has
-even without gravity [rad]."""
+"""Distance of two angles' zeros that no deflection of a spring explains, and an angle that no joint
+reaches even without gravity [rad]."""
 
 _LEAST_MOTION = 8.0
-"""Motion that says something, by the noise of the sensor."""
+"""Least useful motion, relative to the noise of the sensor."""
 
 _BETTER = 100.0
-"""Gain of likelihood by which another sign or scale of the torque must be likelier [nat]."""
+"""Gain in log-likelihood that another sign or scale of the torque must have to count [nat]."""
 
 _SCALES = tuple(10.0 ** (step / 3.0) for step in range(-12, 13))
 
@@ -58,9 +58,9 @@ def read(
     Options are those of `open_source`.
 
     Raises:
-        LogError: A recording is of no use; the text names it and says why, in one line.
+        LogError: A recording is unusable; the message names it and the reason, in one line.
         BagReadError: A bag cannot be read.
-        ModelError: There is none, or arrays have the wrong shape.
+        ModelError: There is no recording, or arrays have the wrong shape.
     """
     if not logs:
         raise ModelError("logs: expected at least one recording")
@@ -92,13 +92,13 @@ def read(
 
 
 def _zeros(request: ArmRequest, y: Array) -> Array:
-    """Return what to subtract from outputs whose zero is far from the first angle's, shape (p,)."""
+    """Return the numbers to subtract from outputs with a zero far from the first angle's, (p,)."""
     zeros = np.zeros(len(request.sensors))
     angles = [i for i, one in enumerate(request.sensors) if one.measures.endswith("_angle")]
     for place in angles:
         far = y[:, place] - y[:, angles[0]] + zeros[angles[0]]
         if place == angles[0]:
-            # Without gravity an angle has no zero.
+            # Without gravity an angle has no natural zero.
             far = np.zeros(1) if request.arm.gravity_torque else y[:, place]
         apart = float(np.nanmedian(far))
         if abs(apart) > _FAR and not request.sensors[place].model.state_count:
@@ -125,7 +125,7 @@ def _samples(request: ArmRequest, log: str | Path | Samples, options: dict[str, 
     whole = source.samples
     keep = (whole.stamps > 0) & (whole.codes[:, 0] == USED)
     stamps = whole.stamps[keep]
-    # Stamps since the epoch have no digits left below a microsecond as one number.
+    # As one float, a stamp since the epoch has no digits left below a microsecond.
     times = (stamps - stamps.min(initial=2**62)) / NANOSECONDS
     return str(log), times, whole.y[keep, 0], whole.u[keep, 0, 0]
 
@@ -144,7 +144,7 @@ def _complete(name: str, times: Array, y: Array, u: Array) -> _Raw:
 
 
 def _even(time: Array, period: float) -> Array:
-    """Return the durations between samples, nearly even ones as even, -1 where a gap begins."""
+    """Return the durations between samples: nearly even ones as even, -1 at the start of a gap."""
     durations = np.diff(time, append=time[-1] + period)
     steps = np.round(durations / period)
     drift = np.cumsum(durations - np.maximum(steps, 1.0) * period)
@@ -192,13 +192,13 @@ def _require_motion(request: ArmRequest, recording: Recording) -> None:
 
 
 def require_torque(unknowns: Unknowns, recording: Recording) -> None:
-    """Refuse a torque of the wrong sign, or whose unit or gear ratio is wrong.
+    """Refuse a torque that has the wrong sign, unit or gear ratio.
 
     Raises:
         LogError: Another sign or scale is far likelier.
     """
     noises = unknowns.noises()
-    # A filter that does not trust its model shows the sign and the scale, whatever else is wrong.
+    # A filter with little trust in its model shows sign and scale even if other numbers are wrong.
     at = np.array([2.0 if each.name.startswith("process") else 0.0 for each in noises.numbers])
     costs = {}
     for gain in (sign * scale for sign in (1.0, -1.0) for scale in _SCALES):

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The result of a fit: what was found, how well it is known, and what the model lacks."""
+"""The result of a fit: the numbers, their accuracy, and the effects that the model lacks."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,18 +15,18 @@ from tsobs_ros.identification.joint import Found, Joint, found_named, table
 
 @dataclass(frozen=True)
 class Fit:
-    """What recordings say about a joint.
+    """The result of fitting a joint to recordings.
 
     Attributes:
-        request: The request to design for: it has what was found.
-        before: The request that it came from.
+        request: The request to design for, with the fitted numbers.
+        before: The request before the fit.
         joint: The likeliest joint, with friction, which the request has as a torque disturbance.
-        numbers: What was estimated.
-        unseen: What the recordings do not show, a line for each direction: the numbers that look
+        numbers: The estimated numbers.
+        unseen: Directions that the recordings do not show, a line each: the numbers that look
             alike, and a motion that would show them.
-        added: What the request's model lacks and the fitted one has, a line each.
-        lacks: What the fitted one still lacks.
-        outputs: How well each output is predicted.
+        added: Effects that the given request lacks and the fitted one has, a line each.
+        lacks: Effects that the fitted request still lacks.
+        outputs: Quality of each output's prediction.
         samples: Number of samples that were fitted, and of those held out.
         outliers: Number of innovations that were taken for outliers.
         notes: Remarks.
@@ -47,7 +47,7 @@ class Fit:
     traces: Traces
 
     def number(self, name: str) -> Found:
-        """Return what was found of a number; one that was not estimated raises `KeyError`."""
+        """Return an estimated number; other names raise `KeyError`."""
         return found_named(self.numbers, name)
 
     def summary(self) -> dict[str, Any]:
@@ -85,7 +85,7 @@ class Fit:
 def request_text(fit: Fit, names: str) -> str:
     """Return the fitted request as a file; its comments have the recordings' names and the fit."""
     comments = [
-        f"What `tsobs design` is asked for, with numbers of `tsobs fit` from {names}.",
+        f"A request for `tsobs design`, with numbers of `tsobs fit` from {names}.",
         "Units are SI and radians. Noises below are those of a filter without Coulomb friction.",
         *str(fit).splitlines(),
     ]

@@ -26,7 +26,7 @@ LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE, MOTOR_VELOCITY = range(4)
 """Places of the four states, the same in both coordinates."""
 
 QUANTITIES = ("link_angle", "link_velocity", "motor_angle", "motor_velocity")
-"""Names of what a sensor can measure (rad, rad/s), in the order of the states."""
+"""Names of the quantities that a sensor can measure (rad, rad/s), in the order of the states."""
 
 ANGLES = (QUANTITIES[LINK_ANGLE], QUANTITIES[MOTOR_ANGLE])
 """The quantities whose derivative is the next state."""
@@ -38,7 +38,7 @@ MAX_DELAY = 20
 """Longest delay of a torque or an output, in periods."""
 
 _REFERENCE_ACCELERATION = 10.0
-"""What the reference torque of an arm without gravity gives both inertias [rad/s²]."""
+"""Acceleration of both inertias under the reference torque of an arm without gravity [rad/s²]."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class ElasticJointArm:
 
     @property
     def reference_torque(self) -> float:
-        """The size of the arm's torques [N m]: gravity's, or 10 rad/s² of both inertias."""
+        """The typical size of the arm's torques [N m]: gravity's, or 10 rad/s² of both inertias."""
         inertia = self.link_inertia + self.motor_inertia
         return self.gravity_torque or _REFERENCE_ACCELERATION * inertia
 
@@ -127,9 +127,9 @@ class ElasticJointArm:
         return self.measured(("link_angle",))
 
     def measured(self, outputs: Sequence[str], delays: Sequence[float] = ()) -> Array:
-        """Return the matrix that takes the state to some of `QUANTITIES`, shape (p, 4).
+        """Return the matrix that maps the state to some of `QUANTITIES`, shape (p, 4).
 
-        Each may be late by a delay [s], an angle q as q − delay q̇.
+        An angle q that is late by a delay [s] is approximated by q − delay q̇.
 
         Raises:
             ModelError: A name is unknown or listed twice, or a velocity is late.
@@ -185,9 +185,9 @@ class ElasticJointArm:
 class TorquePath:
     """How the torque in messages and logs reaches the motor: gain · u(t − delay) + offset.
 
-    Each torque u is held from its sample to the next one, and so is its part at the motor. What
-    reaches the motor is known as well as u is, so it moves truth and estimate alike: errors, their
-    bounds and the certificate do not depend on it.
+    Each torque u is held from its sample to the next one, and so is the torque at the motor. That
+    torque is known as well as u is, so it moves truth and estimate alike. Errors, their bounds and
+    the certificate do not depend on it.
 
     Attributes:
         gain: Torque at the motor per torque in messages, above 0 [-].
@@ -211,7 +211,7 @@ class TorquePath:
 
 
 DIRECT = TorquePath()
-"""The torque in messages is the one at the motor, at once."""
+"""A path on which the torque in messages acts at the motor, unchanged and at once."""
 
 
 def require_delay(name: str, delay: float, period: float) -> None:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models of the sensor's disturbance: ω = H w, ẇ = S w + G n, n white noise.
 
-The method's observer allows an arbitrary ω in every channel, and then the output has no
-information about the state. An estimator that works needs an exosystem: a bias, a drift, a tone,
+The observer of the published method allows an arbitrary ω in every channel, and then the output
+has no information about the state. A useful estimator needs an exosystem: a bias, a drift, a tone,
 a ramp, or a sum of them.
 """
 
@@ -31,7 +31,7 @@ class DisturbanceModel:
         H: Output map, shape (p, q).
         G: Square root of the driving noise density, shape (q, g) [unit/√s].
         initial_std: 1σ of each exosystem state before any measurement, shape (q,).
-        arbitrary: True for the method's own assumption: any signal, unknown at every instant.
+        arbitrary: True for the published method's assumption: any signal, unknown at every instant.
     """
 
     label: str
@@ -65,27 +65,27 @@ KINDS: Mapping[str, Mapping[str, float | None]] = {
         "density": 1e-4, "rate_density": 1e-6, "initial_std": 0.3, "initial_rate_std": 0.02,
     },
 }  # fmt: skip
-"""Parameters of each kind of term with their defaults, None of one that has to be given."""
+"""Parameters of each kind of term with their defaults; None if a parameter must be given."""
 
 
 class DisturbanceTerm(Fixed[Any]):
-    """One term of a disturbance: its kind and its parameters, the rest filled with defaults.
+    """One term of a disturbance: its kind and its parameters; omitted ones get their defaults.
 
     - `clean`: nothing but the sensor's white noise.
-    - `arbitrary`: the method's assumption, any signal; nothing can be proved for it.
+    - `arbitrary`: the published method's assumption, any signal; nothing can be proved for it.
     - `bias`: a constant that may wander. `density`: growth of its variance [rad²/s].
     - `gauss_markov`: a drift ẇ = −w/τ + noise. `std`: its stationary 1σ [rad], `time_constant`: τ
       [s].
     - `sinusoid`: a tone of a known `frequency` [rad/s], whose amplitude and phase wander.
       `density`: growth of the variance of each of its two states [rad²/s].
-    - `ramp`: a bias that grows at a wandering rate. `density` as of a bias, `rate_density`: growth
-      of the rate's variance [rad²/s³], `initial_rate_std`: 1σ of the rate before any measurement
-      [rad/s].
+    - `ramp`: a bias that grows at a wandering rate. `density`: as for a bias, `rate_density`:
+      growth of the rate's variance [rad²/s³], `initial_rate_std`: 1σ of the rate before any
+      measurement [rad/s].
 
     `initial_std` is the 1σ of each state before any measurement [rad].
 
     Raises:
-        ModelError: The kind is unknown, or a parameter is not one of that kind or out of range.
+        ModelError: The kind is unknown, or a parameter does not belong to it or is out of range.
 
     >>> DisturbanceTerm("bias", {"density": 1e-4})
     {'kind': 'bias', 'density': 0.0001, 'initial_std': 0.3}
@@ -107,7 +107,7 @@ class DisturbanceTerm(Fixed[Any]):
 
     @classmethod
     def from_mapping(cls, entries: Mapping[str, Any]) -> "DisturbanceTerm":
-        """Return the term that a file gives by its kind and parameters."""
+        """Return the term with the kind and the parameters that a file gives."""
         parameters = dict(entries)
         return cls(parameters.pop("kind", None), parameters)
 
@@ -138,11 +138,11 @@ class DisturbanceTerm(Fixed[Any]):
 
 
 CLEAN = (DisturbanceTerm("clean"),)
-"""The terms of what is known to be undisturbed."""
+"""The terms of an undisturbed signal."""
 
 
 def sum_of(terms: Sequence[DisturbanceTerm]) -> DisturbanceModel:
-    """Return the model of the sum of independent terms on one channel, of none as of `CLEAN`."""
+    """Return the model of the sum of independent terms on one channel; none count as `CLEAN`."""
     models = [term.model for term in terms or CLEAN]
     labels = [each.label for each in models if each.state_count or each.arbitrary]
     return _joined("+".join(labels) or "clean", np.hstack([each.H for each in models]), models)
@@ -155,7 +155,7 @@ def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
 
 
 def _joined(label: str, H: Array, models: Sequence[DisturbanceModel]) -> DisturbanceModel:
-    """Return a model with the states of several, which are independent."""
+    """Return a model that joins the states of several independent models."""
     return DisturbanceModel(
         label,
         block_diagonal(*(model.S for model in models)),

@@ -3,16 +3,16 @@
 """One-step prediction of the arm with its disturbance model, and of its error covariance.
 
 The augmented state is x̄ = [x; w; w_d]: the arm in design coordinates, then the states of the
-outputs' disturbances, then those of torques that disturb motor and link, which the linear flow
-takes in: the motor's row by 1/J₂, the link's by 1/J₁.
+outputs' disturbances, then those of torques that disturb motor and link. These torques are part of
+the linear flow: they enter the motor's row by 1/J₂ and the link's row by 1/J₁.
 A step is a half gravity kick, the exact linear flow with the torque held, and a half kick:
 
     x₂ −= (T/2)(mgl/J₁) sin x₁;   x̄ ← Φ(T) x̄ + Γ(T) u;   x₂ −= (T/2)(mgl/J₁) sin x₁
 
-It is symmetric, of second order in the gravity term alone, and its error map is *bi-affine* in
-two slopes: sin x₁ − sin x̂₁ = c (x₁ − x̂₁) with c between the smallest and the largest cosine of
-the domain (mean value theorem), so four vertices describe every error system exactly, whatever
-the estimate that serves as premise.
+It is symmetric and of second order; only the gravity term is inexact. Its error map is *bi-affine*
+in two slopes: sin x₁ − sin x̂₁ = c (x₁ − x̂₁) with c between the smallest and the largest cosine of
+the domain (mean value theorem). So four vertices describe every error system exactly, for any
+estimate as the premise.
 """
 
 import itertools
@@ -39,8 +39,8 @@ from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.prediction import Corner, Flow, Uncertainty
 
 SINE, TORQUE, EXTERNAL = 4, 5, 6
-"""Columns of the arm's directions that sin x₁, the motor's torque and one at the link [N m] meet;
-before them is the state."""
+"""Columns of the arm's directions for sin x₁, the motor's torque and a torque at the link [N m];
+the columns before them are those of the state."""
 
 ARM_DIRECTIONS = (
     "stiffness",
@@ -67,9 +67,9 @@ class ProcessNoise:
             object.__setattr__(self, name, density)
 
 
-@np.errstate(over="ignore")  # what is not finite is refused by name
+@np.errstate(over="ignore")  # `Uncertainty` refuses entries that are not finite
 def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncertainty:
-    """Return the uncertainty of an arm's physical parameters, bounds by `ARM_DIRECTIONS`.
+    """Return the uncertainty of an arm's physical parameters, with bounds by `ARM_DIRECTIONS`.
 
     Raises:
         ModelError: A name is unknown or a bound is not above zero.
@@ -104,7 +104,7 @@ class ArmFlow(Flow):
             unknown torques at motor and link [N m], if any.
         process_noise: Densities of the arm's acceleration noise.
         period: Nominal step [s].
-        outputs: What is measured, names of `QUANTITIES`.
+        outputs: The measured quantities, names from `QUANTITIES`.
         torque_path: How the known torque reaches the motor.
         delays: Delay of each output, an angle q(t − delay) ≈ q − delay q̇ [s]; () if there is none.
 
@@ -163,24 +163,24 @@ class ArmFlow(Flow):
         half_step: Any,
         number: Callable[[Any], Any] = np.asarray,
     ) -> Iterator[Corner]:
-        """Yield the error's map over half a kick at the corners; of those on one line its two ends.
+        """Yield the error map of a half kick at the corners; of corners on one line, the two ends.
 
-        It is I + (T/2)(Σ θ_k ∂a_k/∂x − c mgl/J₁ e₂e₁ᵀ), affine in the slope c and in each parameter
-        θ_k on its own (gravity's θ multiplies the slope). So over a box of parameters it is a
-        convex combination of its values at the corners. Unknown torques meet what known ones do.
-        Floats and fractions go through the same formula: an exact proof needs exact corners.
+        The map is I + (T/2)(Σ θ_k ∂a_k/∂x − c mgl/J₁ e₂e₁ᵀ). It is affine in the slope c and in
+        each parameter θ_k by itself (gravity's θ multiplies the slope). So over a box of parameters
+        it is a convex combination of its corner values. Unknown torques enter like known ones.
+        Floats and fractions use the same formula, since an exact proof needs exact corners.
 
         Args:
-            slopes: Smallest and largest cosine of the domain; without gravity there is none.
+            slopes: Smallest and largest cosine of the domain; not used without gravity.
             uncertainty: The uncertain parameters that are covered.
-            share: How much of their bounds.
+            share: The covered share of their bounds.
             half_step: T/2 [s].
-            number: Makes an array of such numbers of one of floats.
+            number: Converts an array of floats to an array of the numbers in use.
         """
         places = uncertainty.linear_places
         changes = number(uncertainty.directions[places, 0])
         bounds = [share * bound for bound in number(uncertainty.limits)]
-        # A direction that scales gravity adds θ c to the slope; none kicks the motor by it.
+        # A direction that scales gravity adds θ c to the slope; gravity does not act on the motor.
         pulls = [bool(each.any()) for each in uncertainty.directions[..., SINE]]
         free = [bounds[k] for k, pulled in enumerate(pulls) if pulled and k not in places]
         for signs in itertools.product((-1, 1), repeat=len(places)):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rules of Takagi–Sugeno fuzzy systems: membership functions and normalised rule weights.
 
-Their values, and the slopes that a covariance along the estimate needs, are the compiled core's.
+The compiled core evaluates them, and the slopes that a covariance along the estimate needs.
 """
 
 import math
@@ -26,10 +26,10 @@ class Shape(NamedTuple):
     """A kind of membership function of a premise variable z.
 
     Attributes:
-        code: In the compiled core.
-        parameters: Their names.
-        requirement: What is required of them, in words.
-        encode: The core's parameters, at most four, from these; None if they do not obey.
+        code: Its code in the compiled core.
+        parameters: Names of its parameters.
+        requirement: The requirement on the parameters, in words.
+        encode: Converts them to the core's, at most four; None if they violate the requirement.
     """
 
     code: int
@@ -44,7 +44,7 @@ def _line(zero: float, one: float) -> tuple[float, ...] | None:
 
 
 def _sector(half_width: float) -> tuple[float, ...] | None:
-    # Below 1e-4, sin(half_width)/half_width is 1 to so many digits that the sectors are lost.
+    # Below 1e-4, sin(half_width)/half_width is so close to 1 that the sectors no longer differ.
     if not 1e-4 <= half_width < math.pi:
         return None
     return half_width, evaluate("sine", half_width).item() / half_width
@@ -54,9 +54,9 @@ _OF_SINE: Any = (("half_width",), "1e-4 ≤ half_width < π", _sector)
 _OF_SQUARE: Any = (("half_width",), "half_width above 0", lambda w: (w,) if w > 0.0 else None)
 
 SHAPES: Mapping[str, Shape] = {
-    # 1 everywhere: a rule that does not look at this premise.
+    # 1 everywhere: the rule ignores this premise.
     "always": Shape(_ALWAYS),
-    # From 0 at z = zero to 1 at z = one, in a straight line, and level outside.
+    # From 0 at z = zero to 1 at z = one, in a straight line, and constant outside.
     "linear": Shape(_TRAPEZOID, ("zero", "one"), "zero and one apart", _line),
     # 1 at the peak, falling in straight lines to 0 at left and right.
     "triangle": Shape(
@@ -87,12 +87,12 @@ SHAPES: Mapping[str, Shape] = {
 
 
 class Membership(NamedTuple):
-    """A grade in [0, 1] of one premise variable z, made by `membership`.
+    """A membership function of one premise variable z, with values in [0, 1]; see `membership`.
 
     Attributes:
-        code: Of its shape in the compiled core.
-        numbers: Its four parameters there.
-        mapping: Shape and parameters as a file has them.
+        code: Code of its shape in the compiled core.
+        numbers: Its four parameters in the compiled core.
+        mapping: Shape and parameters in the form that files have.
     """
 
     code: int
@@ -150,7 +150,7 @@ class RuleBase:
 
     @cached_property
     def coded(self) -> tuple[Integers, Array]:
-        """The rules as the compiled core has them: codes (r, q) and parameters (r, q, 4)."""
+        """The rules in the compiled core's form: codes (r, q) and parameters (r, q, 4)."""
         codes = [[each.code for each in rule] for rule in self.rules]
         numbers = [[each.numbers for each in rule] for rule in self.rules]
         return np.array(codes, np.int64), np.array(numbers)

@@ -1,8 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Products, factors and solutions for matrices of a few rows, as sums in the order of the core's.
+"""Products and inverses of small matrices, with sums in the same order as in the compiled core.
 
-A BLAS library has other kernels for other CPUs, and so other last bits.
+A BLAS library uses different kernels on different CPUs, which give different last bits.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ def joseph(C: ArrayLike, R: ArrayLike, covariance: ArrayLike, gain: ArrayLike) -
 
 
 def block_diagonal(*blocks: ArrayLike) -> Array:
-    """Return a matrix with these ones along its diagonal."""
+    """Return a matrix with the given blocks along its diagonal."""
     given = [np.asarray(block, np.float64) for block in blocks]
     result = np.zeros(np.sum([block.shape for block in given], axis=0))
     row = column = 0
@@ -45,7 +45,7 @@ def block_diagonal(*blocks: ArrayLike) -> Array:
 
 
 def inverse(matrix: ArrayLike) -> Array:
-    """Return the inverse of a symmetric positive definite matrix; not finite if it is not."""
+    """Return the inverse of a symmetric positive definite matrix; others may give infinities."""
     s = np.array(matrix, np.float64)
     n = len(s)
     L, D, result = np.eye(n), np.zeros(n), np.eye(n)

@@ -1,15 +1,15 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction models as observers and designs use them: a step of the augmented state x̄.
+"""Prediction models for observers and designs: a step of the augmented state x̄.
 
-It is [x; w; w_d]: the plant's states, those of the outputs' disturbances, those of torques. The
-compiled core takes the steps; a model gives it their numbers.
+x̄ is [x; w; w_d]: the states of the plant, of the outputs' disturbances and of torque disturbances.
+The compiled core takes the steps; a model supplies the numbers for them.
 
 The flow of the linear part is exact for a held input and white noise, over a step of any length:
 Φ' = AΦ, Γ' = AΓ + B, Q' = AQ + QAᵀ + W, by their Taylor series with precomputed coefficients. A
-step then costs one evaluation of polynomials, which matters because real stamps jitter. Where a
-step is long for the fastest mode, the series serves a fraction 2⁻ˢ of it and is doubled s times; a
-sum of positive semidefinite terms, so the noise stays a covariance.
+step then costs one evaluation of polynomials, which matters because real stamps jitter. If a step
+is long for the fastest mode, the series covers a fraction 2⁻ˢ of it and is doubled s times. The
+doubling adds positive semidefinite terms, so the noise stays a covariance.
 """
 
 import math
@@ -35,30 +35,30 @@ Record = np.ndarray[Any, np.dtype[Any]]
 """An array of records."""
 
 MAX_TERMS = 60
-"""Rows of a series."""
+"""Number of rows of a series."""
 
 STRETCH = 1.25
-"""A step may be longer than nominal by so much: real stamps jitter about the period."""
+"""Factor by which a step may be longer than nominal, because real stamps jitter."""
 
 _LARGEST_TURN = 2.0**16
-"""Most a mode may turn or decay in one step [rad]; doubling loses a digit for every factor 10."""
+"""Largest turn or decay of a mode in one step [rad]; doubling loses a digit per factor of 10."""
 
 _MAX_DIRECTIONS = 3
-"""Uncertain directions of a proof beside gravity: k of them make 4·4^k vertices."""
+"""Largest number of uncertain directions in a proof besides gravity; k make 4·4^k vertices."""
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
     """Bounded uncertain parameters θ of a model with n states and r rules.
 
-    The state's derivative is ẋ(θ) = ẋ(0) + Σ_k θ_k Σᵢ hᵢ E_{k,i} s, where s are the signals that it
-    is linear in: [x; u] of a T–S system, and [x; sin x₁; u; d] of the arm, d being a torque at the
-    link. The arm is a single rule of them.
+    The state's derivative is ẋ(θ) = ẋ(0) + Σ_k θ_k Σᵢ hᵢ E_{k,i} s. Signals s enter it linearly:
+    [x; u] for a T–S system, and [x; sin x₁; u; d] for the arm, with a torque d at the link. The arm
+    has a single rule.
 
     Attributes:
-        names: Of the parameters, in the order of θ.
+        names: Names of the parameters, in the order of θ.
         limits: Bound of each |θ|, shape (k,).
-        directions: E_{k,i}, shape (k, r, n, c) for c signals, of which the state is the first n.
+        directions: E_{k,i}, shape (k, r, n, c) for c signals, the first n of which are the state.
 
     Raises:
         ModelError: A direction is not finite.
@@ -80,14 +80,14 @@ class Uncertainty:
 
     @property
     def linear(self) -> Array:
-        """The part of the directions that meets the state, shape (k, r, n, n)."""
+        """The part of the directions that multiplies the state, shape (k, r, n, n)."""
         return self.directions[..., : self.directions.shape[2]]
 
     @property
     def linear_places(self) -> list[int]:
-        """Places of the directions that act on the state linearly, all but gravity's.
+        """Places of the directions that act on the state linearly: all except gravity's.
 
-        Raises `ModelError` if they are too many for a proof by vertices.
+        Raises `ModelError` if there are too many of them for a proof by vertices.
         """
         places = [k for k in range(self.count) if self.linear[k].any()]
         if len(places) > _MAX_DIRECTIONS:
@@ -112,8 +112,8 @@ class FlowSizes(NamedTuple):
 
 
 class Corner(NamedTuple):
-    """A corner of what a certificate covers: its numbers or names, by what they are of, and what an
-    error system has of it, shape (n, n); see `Flow.error_map`."""
+    """A corner of the set that a certificate covers: its values or names in words, by quantity, and
+    its matrix in an error system, shape (n, n); see `Flow.error_map`."""
 
     place: Mapping[str, str]
     matrix: Any
@@ -137,7 +137,7 @@ class Transition(NamedTuple):
     """The linear flow over a step of an arm, or over half a step of a T–S system.
 
     Attributes:
-        duration: Of the whole step [s].
+        duration: Duration of the whole step [s].
         phi: State transition Φ, shape (n, n).
         gamma: Effect of held inputs Γ, shape (n, inputs).
         noise: Covariance the process noise adds, shape (n, n).
@@ -153,28 +153,28 @@ class Flow(ABC):
     """One step of the augmented state and of its error covariance.
 
     Args:
-        plant: A [1/s], B and C of the plant itself, of an arm without gravity.
-        densities: Of white noise on the derivatives of the plant's states, shape (plant_count,).
+        plant: A [1/s], B and C of the plant itself, for an arm without gravity.
+        densities: White-noise densities on the derivatives of the plant's states, (plant_count,).
         disturbance: The exosystem of the outputs and then of an arm's torques, whose states follow
             the plant's in x̄.
-        period: Nominal step [s]; longer ones are taken in nominal steps and a last one.
-        torque_gain: Those torques to derivatives of the plant's states, (plant_count, torques).
+        period: Nominal step [s]; longer steps are split into nominal ones and a remainder.
+        torque_gain: These torques to derivatives of the plant's states, (plant_count, torques).
 
     Attributes:
-        torque_path: How torques reach an arm's motor; a step is by the torque that acts there.
+        torque_path: How torques reach an arm's motor; a step uses the torque that acts there.
         plant_count: Number of the plant's own states, the first ones of x̄.
         disturbance_map: Augmented state to the disturbance of each output, shape (p, n).
-        torques: Augmented state to the torques [N m], of an arm at motor and link, (torques, n).
+        torques: Augmented state to the torques at an arm's motor and link [N m], (torques, n).
         output_matrix: Augmented state to measurement C̄ = [C H], shape (p, n).
         input_count: Number m of inputs and scheduled signals.
-        scheduled_count: Number of scheduled signals, the last of them.
+        scheduled_count: Number of scheduled signals, which are the last ones of the m.
         rule_counts: Numbers of rules and of premise variables.
-        drift: Continuous matrix of x̄, without gravity or of the rules' mean, shape (n, n).
-        density: Of the white noise on the derivative of x̄, shape (n, n).
+        drift: Continuous matrix of x̄, without gravity or for the mean of the rules, shape (n, n).
+        density: Density of the white noise on the derivative of x̄, shape (n, n).
 
     Raises:
-        ModelError: The disturbance has another number of channels than the plant outputs, an entry
-            is not finite, or a step is too long for the fastest mode.
+        ModelError: The disturbance's channels do not match the outputs and torques, an entry is not
+            finite, or a step is too long for the fastest mode.
     """
 
     kind: ClassVar[int]
@@ -252,8 +252,8 @@ class Flow(ABC):
         return self.torques[self.torques.any(axis=1)]
 
     def to_physical(self, x: ArrayLike) -> Array:
-        """Return the plant's states in physical units, of an arm rad and rad/s, for augmented ones
-        of shape (..., n)."""
+        """Return the plant's states in physical units (for an arm rad and rad/s) from augmented
+        states of shape (..., n)."""
         return np.asarray(x, dtype=np.float64)[..., : self.plant_count]
 
     def transition(self, duration: float) -> Transition:
@@ -266,7 +266,7 @@ class Flow(ABC):
     @abstractmethod
     def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:
         """Return the transition of the error over a nominal step, and the covariance of its noise,
-        by the matrices of two corners, shapes (..., n, n), that hold in its halves."""
+        from the matrices of the corners that hold in its two halves, shapes (..., n, n)."""
 
     def vertices(self, corners: Iterable[Corner]) -> list[VertexSystem]:
         """Return the vertex error systems of a nominal step: those of every pair of corners."""
@@ -277,10 +277,10 @@ class Flow(ABC):
 
     @abstractmethod
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
-        """Return what only this kind of model has in its record, by name."""
+        """Return the fields of the record that only this kind of model has, by name."""
 
     def record(self, uncertainty: Uncertainty | None = None) -> Record:
-        """Return the model for the compiled core, whose step takes in θ if given, shape (1,)."""
+        """Return the record for the compiled core, shape (1,); its step includes θ if given."""
         record = self._record(uncertainty)
         for name in Transition._fields[1:]:
             record[name] = getattr(self.nominal, name)
@@ -305,7 +305,7 @@ class Flow(ABC):
 
 
 def _between(first: Corner, second: Corner) -> str:
-    """Return the vertex of two corners in words."""
+    """Return the name of the vertex of two corners."""
     words = []
     for name, one in first.place.items():
         both = ", ".join(filter(None, (one, second.place[name])))
@@ -315,7 +315,7 @@ def _between(first: Corner, second: Corner) -> str:
 
 @np.errstate(all="ignore")
 def _taylor_series(A: Array, B: Array, W: Array, reach: float) -> tuple[Array, int]:
-    """Return Taylor coefficients of Φ, Γ and Q, and how many rows are not negligible up to `reach`.
+    """Return Taylor coefficients of Φ, Γ and Q, and the number of rows that matter up to `reach`.
 
     The coefficients are side by side, shape (MAX_TERMS, n (2n + m)); further rows are zero.
     """
@@ -367,7 +367,7 @@ def _norm(A: Array) -> float:
 
 
 def fill_matrix(target: Array, matrix: ArrayLike) -> None:
-    """Enter a matrix into the first rows and columns of a larger array, or as rows of numbers."""
+    """Write a matrix into the first rows and columns of a larger array, or reshape it into one."""
     values = np.asarray(matrix)
     if values.ndim != target.ndim:
         target[...] = values.reshape(target.shape)

@@ -1,28 +1,28 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A T–S system as an estimator needs it: its model, its one-step prediction, its uncertainty.
+"""T–S systems for an estimator: their model, its one-step prediction and its uncertainty.
 
     ẋ = Σ hᵢ(z)(Aᵢx + Bᵢu),   y = C x + disturbance + noise,   z = Z x + Z_s s
 
-It has one output matrix, and premises that are linear in x and s. Scheduled signals s are known: an
-ambient temperature, a set point, or a measurement that is as good as exact. They are held over a
-step and travel with the input, as [u; s].
+The system has one output matrix, and premises that are linear in x and s. Scheduled signals s are
+known: an ambient temperature, a set point, or a measurement that is almost exact. They are held
+over a step and are given with the input, as [u; s].
 
-The exponential midpoint rule: the mean A₀, B₀ of the rules is integrated exactly, what the rules
-differ by, g(x, u) = Σ hᵢ(z)((Aᵢ − A₀)x + (Bᵢ − B₀)u), enters at the middle of the step:
+The exponential midpoint rule integrates the mean A₀, B₀ of the rules exactly. The deviation from
+it, g(x, u) = Σ hᵢ(z)((Aᵢ − A₀)x + (Bᵢ − B₀)u), enters at the middle of the step:
 
     c = Φ x + Γ u + n₁,   m = c + (T/2) Φ g(x, u),   x⁺ = Φ (c + T g(m, u)) + Γ u + n₂
 
-with Φ, Γ the linear flow over T/2 and n₁, n₂ the process noise of its halves. It is of second
-order, and exact for one rule. What matters for a proof is that its error map is exactly
+with Φ, Γ the linear flow over T/2 and n₁, n₂ the process noise of the two halves. It is of second
+order, and exact for one rule. For a proof it matters that the error map is exactly
 
     e⁺ = Φ [Φ + T N₂ Φ (I + (T/2) N₁)] e + Φ (I + T N₂) n₁ + n₂
 
 for two matrices N₁, N₂ with g(x) − g(x̂) = N (x − x̂). The map is affine in each of them:
 
 - if the premise is known, N = Σ hᵢ(Aᵢ − A₀), a convex combination over the rules;
-- if it is the estimate, N is a mean of the Jacobian of g (mean value theorem): a convex
-  combination of any matrices J − A₀ whose hull holds the Jacobian of f on the domain.
+- if the premise is the estimate, N is a mean of the Jacobian of g (mean value theorem): a convex
+  combination of any matrices J − A₀, if the hull of the J holds the Jacobian of f on the domain.
 
 So the ordered pairs of such matrices are vertices of all error systems of a step, at any period.
 """
@@ -43,7 +43,7 @@ from tsobs_ros.model.fuzzy import RuleBase
 from tsobs_ros.model.prediction import Flow, Uncertainty
 
 _LARGEST = 1e100
-"""Largest number of a model: products of two are finite."""
+"""Largest number in a model; the product of two is still finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +57,8 @@ class TSModel:
         rule_base: Memberships of the q premise variables.
         premise: State to premise variables Z, shape (q, n).
         schedule: Scheduled signals to premise variables Z_s, shape (q, s); none by default.
-        outputs: Output matrices Cᵢ of the rules, if they differ, shape (r, p, n). Estimators take C
-            for all of them, and the difference Σ hᵢ(Cᵢ − C)x for a disturbance.
+        outputs: Output matrices Cᵢ of the rules, if they differ, shape (r, p, n). Estimators use C
+            for all rules and treat the difference Σ hᵢ(Cᵢ − C)x as a disturbance.
 
     Raises:
         ModelError: A matrix has the wrong shape; the text names it.
@@ -103,7 +103,7 @@ class TSModel:
 
     @property
     def input_count(self) -> int:
-        """Number of inputs m, scheduled signals not among them."""
+        """Number of inputs m, without scheduled signals."""
         return int(self.B.shape[-1])
 
     @property
@@ -128,7 +128,7 @@ class TSModel:
         return self.rule_base.weights(x @ self.premise.T + scheduled @ self.schedule.T)
 
     def derivative(self, x: Array, held: Array) -> Array:
-        """Return ẋ, shape (..., n), for states and held signals as of `weights`."""
+        """Return ẋ, shape (..., n), for states and held signals as in `weights`."""
         signals = np.concatenate([x, held[..., : self.input_count]], axis=-1)
         weights = self.weights(x, held)
         return np.asarray(np.einsum("...r,rnk,...k->...n", weights, self.rates, signals))
@@ -184,7 +184,7 @@ class Direction:
 
     Attributes:
         E: Eᵢ, shape (r, n, n); one (n, n) serves every rule.
-        bound: Of |θ|.
+        bound: Bound of |θ|.
     """
 
     E: Array
@@ -211,7 +211,7 @@ def system_uncertainty(model: TSModel, directions: Mapping[str, Direction]) -> U
 
 
 def _length(name: str, matrix: ArrayLike, axis: int, axes: int) -> int:
-    """Return the length of an axis of a matrix with so many axes."""
+    """Return the length of an axis of a matrix that must have `axes` axes."""
     shape = np.shape(matrix)
     if len(shape) != axes:
         kind = "one matrix per rule, shape (r, ·, ·)" if axes == 3 else "a matrix"

@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lifecycle nodes that work with `ros2 run` alone, and under a lifecycle manager as well.
 
-A node states in `configure` what it acquires, and nothing of how that is released: the clean-up
-destroys all entities made since `configure` began, also of one that failed half-way. rclpy's
-lifecycle stops only lifecycle publishers, so callbacks check `active`.
+A node acquires its entities in `configure` and need not release them: the clean-up destroys all
+entities that were made since `configure` began, even if it failed half-way. rclpy's lifecycle stops
+only lifecycle publishers, so callbacks check `active`.
 
 A transition that fails with an expected error logs one line and leaves the node in its state; only
-a clean-up ends unconfigured all the same. Any other exception is a bug: it is logged with its
-traceback, and the node is cleaned up. Requests and times that rclpy's own callbacks cannot take, so
-that they would end the process, are refused.
+a failed clean-up still ends unconfigured. Any other exception is a bug: it is logged with its
+traceback, and the node is cleaned up. Requests and times that would make rclpy's own callbacks
+fail, and thus end the process, are refused.
 """
 
 import math
@@ -40,11 +40,11 @@ from tsobs_ros.nodes.runtime import EXPECTED, Ticker
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.settings import values_of
 
-# How long the answer to a shutdown request may be on its way [s]; it is lost with the node.
+# Time for the answer to a shutdown request to be sent, before the node is destroyed [s].
 _FAREWELL = 0.5
-# Between two lines on the same subject [s].
+# Time between two log lines on the same subject [s].
 _QUIET = 5.0
-# Between two messages on /diagnostics [s].
+# Time between two messages on /diagnostics [s].
 _DIAGNOSTICS_PERIOD = 1.0
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 _ERROR = TransitionCallbackReturn.ERROR
@@ -63,7 +63,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         **node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
 
     Attributes:
-        parameters: The current parameters; the same object until a set is accepted.
+        parameters: The current parameters; the same object until a change is accepted.
         active: Whether the node works.
         done: Whether its work has ended, until it is configured again.
         steady: A clock that is never set, for timers.
@@ -71,7 +71,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     Raises:
         ParameterError: A parameter has a wrong type or value.
-        Exception: Whatever `configure` or `activate` raised; the node is destroyed.
+        Exception: Any error of `configure` or `activate`; the node is destroyed.
     """
 
     ticker: Ticker | None = None
@@ -99,20 +99,20 @@ class ManagedNode(LifecycleNode, Generic[P]):
             raise
 
     def configure(self) -> None:
-        """Acquire what work needs: files, publishers, subscriptions, services, timers."""
+        """Acquire everything the work needs: files, publishers, subscriptions, services, timers."""
 
     def activate(self) -> None:
-        """Start to work, or go on; `active` is true from the return on."""
+        """Start or continue to work; `active` becomes true after the return."""
 
     def deactivate(self) -> None:
         """Stop working and keep everything; `active` is already false."""
 
     def retune(self, parameters: P) -> None:
-        """Take over parameters of which some were set, while the node is configured."""
+        """Apply changed parameters while the node is configured."""
 
     @property
     def configured(self) -> bool:
-        """Whether the node holds what `configure` acquires: inactive or active."""
+        """Whether the node is inactive or active, and holds what `configure` acquired."""
         return self._acquired is not None
 
     @property
@@ -121,12 +121,12 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return self.done or time.monotonic() > self._finalized_at + _FAREWELL
 
     def at_cleanup(self, callback: Callable[..., object], *args: Any) -> None:
-        """Call back at the clean-up, latest first, before entities are destroyed."""
+        """Add a callback to the clean-up, which runs them latest first, then destroys entities."""
         assert self._acquired is not None, "nothing is cleaned up before it is configured"
         self._acquired.callback(callback, *args)
 
     def is_due(self, subject: object, period: float = _QUIET) -> bool:
-        """Return whether it is a subject's turn, once a period [s]; by default that of its log."""
+        """Return whether a subject is due, once per period [s]; the default is for log lines."""
         now = time.monotonic()
         is_due = now >= self._due.get(subject, 0.0)
         if is_due:
@@ -134,9 +134,9 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return is_due
 
     def log(self, level: Level, text: str) -> None:
-        """Log a line, whatever names of others are in it."""
+        """Log a line, in which names from elsewhere may contain any characters."""
         text = printable(text, newline=" ")
-        # rclpy wants a line of code for each severity.
+        # rclpy accepts only one severity from each line of code.
         if level is Level.OK:
             self.get_logger().info(text)
         elif level is Level.WARN:
@@ -145,7 +145,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.get_logger().error(text)
 
     def offer_diagnostics(self, hardware_id: str, make: Callable[[], list[Status]]) -> None:
-        """Publish statuses once a second, in real time: a paused simulation has some, too.
+        """Publish statuses once per second of real time, even while a simulation is paused.
 
         They are named "<node>: <concern>".
         """
@@ -170,8 +170,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
         self.create_timer(_DIAGNOSTICS_PERIOD, publish, clock=self.steady)
 
     def offer_triggers(self, answers: Mapping[str, Callable[[], str]]) -> None:
-        """Offer std_srvs/Trigger services below the node's name, each with its work, which returns
-        the message or raises what has to be fixed."""
+        """Offer std_srvs/Trigger services below the node's name; each function in `answers` returns
+        the message of its service or raises an expected error."""
 
         def serve(answer: Any, _: Trigger.Request, response: Trigger.Response) -> Any:
             try:
@@ -197,10 +197,10 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self._starting = False
 
     def close(self) -> None:
-        """Deactivate and clean up, in whatever state the node is; safe to call twice.
+        """Deactivate and clean up from any state; safe to call twice.
 
         Raises:
-            TsobsError: Something could not be finished; all has been released anyway.
+            TsobsError: Something could not be finished; everything has been released anyway.
         """
         try:
             self._deactivate()
@@ -213,8 +213,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.close()
         finally:
             super().destroy_node()
-            # rclpy's state machine keeps the node in the graph, and its name bound to this node's
-            # /rosout, until Python's collector has both; a node of the same name may come before.
+            # rclpy's state machine keeps the node in the graph, and its name bound to its /rosout,
+            # until the garbage collector frees both; a node of the same name may be made earlier.
             for held in list(vars(self).values()):
                 release = getattr(held, "destroy_when_not_in_use", None)
                 if release is not None:
@@ -223,7 +223,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     def declare_parameters(
         self, namespace: str, parameters: list[Any], ignore_override: bool = False
     ) -> list[Any]:
-        """Declare parameters; keep the overrides, which rclpy's constructor would declare first."""
+        """Declare parameters; only store the overrides, which rclpy's constructor passes first."""
         if self._overrides is None:
             self._overrides = {name: value for name, value, _ in parameters}
             return []
@@ -233,7 +233,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Any, *args: Any, **kwargs: Any
     ) -> Subscription:
-        """Subscribe; rclpy does so itself to /clock, whenever use_sim_time becomes true."""
+        """Subscribe; check times on /clock, to which rclpy subscribes if use_sim_time is set."""
         if isinstance(getattr(callback, "__self__", None), TimeSource):
             callback = partial(self._take_time, callback)
         return super().create_subscription(msg_type, topic, callback, *args, **kwargs)
@@ -255,16 +255,16 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Clean up, for rclpy's lifecycle; a failure would mean inactive, with no way back."""
+        """Clean up, for rclpy's lifecycle; FAILURE would mean inactive, but without entities."""
         return _SUCCESS if self._attempt("clean up", self._clean_up) is _SUCCESS else _ERROR
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Shut down, for rclpy's lifecycle; the node is finalized whatever fails."""
+        """Shut down, for rclpy's lifecycle; the node is finalized even if a step fails."""
         self._finalized_at = time.monotonic()
         return _SUCCESS if self._attempt("shut down", self.close) is _SUCCESS else _FAILURE
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Clean up after an error, for rclpy's lifecycle, to be configured again."""
+        """Clean up after an error, for rclpy's lifecycle; the node can be configured again."""
         self._attempt("clean up after an error", self.close)
         return _SUCCESS
 
@@ -288,20 +288,20 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 self._acquired = self.ticker = None
 
     def _entities(self) -> set[tuple[str, Any]]:
-        """Return the kind of each of the node's entities in ROS, and the entity."""
+        """Return the node's ROS entities, each with its kind."""
         kinds = ("timer", "subscription", "service", "client", "publisher")
         return {(kind, entity) for kind in kinds for entity in getattr(self, f"{kind}s")}
 
     def _destroy_all_but(self, lasting: set[tuple[str, Any]]) -> None:
         for kind, entity in self._entities() - lasting:
-            # rclpy itself subscribes to /clock as soon as use_sim_time is set.
+            # Keep the subscription to /clock that rclpy makes as soon as use_sim_time is set.
             if getattr(getattr(entity, "callback", None), "func", None) != self._take_time:
                 getattr(self, f"destroy_{kind}")(entity)
 
     def _check_set(self, proposal: Sequence[Parameter]) -> SetParametersResult:
         try:
             updated(self.parameters, proposal)
-        except TsobsError as error:  # of a file, too
+        except TsobsError as error:  # also from a file
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
@@ -311,7 +311,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.retune(self.parameters)
 
     def _attempt(self, what: str, step: Callable[[], None]) -> TransitionCallbackReturn:
-        """Take a step; log why it failed, unless `start` is going to raise it."""
+        """Take a step; log its error, unless `start` is going to raise it."""
         try:
             step()
         except Exception as error:
@@ -326,12 +326,12 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return _SUCCESS
 
     def _answer(self, answer: Callable[..., Any], request: Any, response: Any) -> Any:
-        """Let rclpy answer a request, and refuse one that it cannot."""
-        if isinstance(request, ChangeState.Request):  # rcl logs a label as it is
+        """Let rclpy answer a request; refuse a request that it cannot answer."""
+        if isinstance(request, ChangeState.Request):  # rcl logs labels unescaped
             request.transition.label = printable(request.transition.label)
         try:
             return answer(request, response)
-        except Exception as error:  # whatever rclpy raises of a request that it does not expect
+        except Exception as error:  # any error of rclpy on an unexpected request
             kind = type(error).__name__
             reason = printable(f"cannot answer {type(request).__name__}: {error} ({kind})")
             if self.is_due("request"):
@@ -345,7 +345,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
             return response
 
     def _take_time(self, take: Callable[[Clock], None], message: Clock) -> None:
-        """Let rclpy take a time of /clock that it knows and that a message can have as a stamp."""
+        """Pass a time on /clock to rclpy if rclpy and the stamps of messages can represent it."""
         sec, nanosec = message.clock.sec, message.clock.nanosec
         if sec >= 0 and nanosec < NANOSECONDS:
             take(message)

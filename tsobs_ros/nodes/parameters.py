@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters of a node, made of its settings: declared, checked, changed all or none.
+"""ROS parameters of a node, made of its settings; a change of several is accepted or refused whole.
 
 Integers become doubles before rclpy compares types: overrides before their declaration, requests in
-a pre-set callback. rclpy refuses other types and scalars out of range; an on-set callback refuses
-the rest.
+a pre-set callback. rclpy refuses other types and scalars out of range; an on-set callback checks
+everything else.
 """
 
 import math
@@ -30,7 +30,7 @@ _MAX_INTEGER, _MAX_FLOAT = 2**63 - 1, sys.float_info.max
 
 @dataclass(frozen=True)
 class ManagedParameters:
-    """The parameters of every managed node; a subclass adds those of one."""
+    """The parameters of every managed node; subclasses add those of one node."""
 
     autostart: bool = setting(True, "Configure and activate at start, without a lifecycle manager")
 
@@ -40,9 +40,9 @@ class SelectingParameters(ManagedParameters):
     """The parameters that select topics."""
 
     topics: tuple[str, ...] = setting((), "Topics to take; all of them without any selection")
-    regex: str = setting("", "Take the topics in whose names this is found, too")
+    regex: str = setting("", "Take also the topics whose names contain a match of this")
     exclude_topics: tuple[str, ...] = setting((), "Topics not to take")
-    exclude_regex: str = setting("", "Do not take topics in whose names this is found")
+    exclude_regex: str = setting("", "Do not take topics whose names contain a match of this")
 
     def __post_init__(self) -> None:
         """Check the patterns.
@@ -60,14 +60,14 @@ class SelectingParameters(ManagedParameters):
                 ) from error
 
     def resolved(self, full_name: Callable[[str], str]) -> Self:
-        """Return the parameters with full names of topics in place of those given."""
+        """Return the parameters with full names in place of the given names of topics."""
         topics, excluded = (
             tuple(map(full_name, names)) for names in (self.topics, self.exclude_topics)
         )
         return replace(self, topics=topics, exclude_topics=excluded)
 
     def takes(self, topic: str, by_default: bool = True) -> bool:
-        """Return whether to take a topic by its full name, also without any selection."""
+        """Return whether to take a topic by its full name, `by_default` if nothing is selected."""
         is_taken = topic in self.topics or bool(self.regex and re.search(self.regex, topic))
         is_taken |= by_default and not (self.topics or self.regex)
         return is_taken and not (
@@ -78,18 +78,18 @@ class SelectingParameters(ManagedParameters):
 
 @dataclass(frozen=True)
 class JointParameters(ManagedParameters):
-    """The parameters that say which joints there are, and what each of them is."""
+    """The parameters that name the joints, and the design of each joint."""
 
     joints: tuple[str, ...] = setting(("elastic_joint",), "Names of the joints in messages")
     design: str = setting("", "Path of the design file; empty for the one that is shipped")
     joint_designs: tuple[str, ...] = setting(
         (),
-        "Design file of each of the joints, empty for the one that `design` names; no list: "
+        "Design file of each of the joints, empty for the one that `design` names; empty list: "
         "that one for all",
     )
 
     def read(self, reader: Callable[[str], T]) -> dict[str, T]:
-        """Return what a function makes of each joint's design file; it is called once a file."""
+        """Return the result of `reader` on each joint's design file; it is called once per file."""
         shipped = str(config_path(SHIPPED_DESIGN))
         paths = {joint: path or shipped for joint, path in self.design_of.items()}
         found = {path: reader(path) for path in dict.fromkeys(paths.values())}
@@ -100,7 +100,7 @@ class JointParameters(ManagedParameters):
         """Path of each joint's design file, empty for the one that is shipped.
 
         Raises:
-            ParameterError: A name is empty or comes twice, or there is another number of paths.
+            ParameterError: A name is empty or occurs twice, or there are more or fewer paths.
         """
         joints, own = self.joints, self.joint_designs
         if not joints or "" in joints or len(set(joints)) < len(joints):
@@ -115,7 +115,7 @@ class JointParameters(ManagedParameters):
 
 
 def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
-    """Declare the parameters of a dataclass of settings, and return it with overrides by name.
+    """Declare the parameters of a dataclass of settings; return it with the given overrides.
 
     Raises:
         ParameterError: An override has the wrong type, breaks a rule, or the values contradict
@@ -125,7 +125,7 @@ def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
     built: P = changed(make(), {name: each for name, each in given.items() if name in known})
     values = values_of(built)
     for name, entry in known.items():
-        # Type before value, as rclpy infers an empty list to be bytes; read-only only then.
+        # Type before value, as rclpy takes an empty list for bytes; read-only only after the value.
         node.declare_parameter(name, _type(entry), ignore_override=True)
         node.set_parameters_atomically([Parameter(name, _type(entry), values[name])])
         node.set_descriptor(name, _descriptor(entry))
@@ -137,7 +137,7 @@ def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
 
 
 def converted(make: type, proposal: Sequence[Parameter]) -> list[Parameter]:
-    """Return values in the parameters' types where that is possible; rclpy refuses the others."""
+    """Return values in the parameters' types if possible; rclpy refuses the others."""
     found = []
     for each in proposal:
         entry = settings_of(make).get(each.name)
@@ -147,7 +147,7 @@ def converted(make: type, proposal: Sequence[Parameter]) -> list[Parameter]:
 
 
 def updated(value: P, proposal: Sequence[Parameter]) -> P:
-    """Return a dataclass of settings with the values of some parameters; others are passed over.
+    """Return a dataclass of settings with the values of its parameters; others are ignored.
 
     Raises:
         ParameterError: A value breaks a rule, or they contradict each other.

@@ -1,15 +1,15 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `player` node: a bag onto its topics again, at the times it was recorded.
+"""The `player` node: playback of a bag onto its topics, with the recorded timing.
 
 topics:
-  those of the bag that its parameters select (out), else all
+  the topics of the bag that the parameters select (out), by default all
   /clock (out)        rosgraph_msgs/msg/Clock: the time of the bag, with `clock`
-  /diagnostics (out)  diagnostic_msgs/msg/DiagnosticArray: position and counts, once a second
+  /diagnostics (out)  diagnostic_msgs/msg/DiagnosticArray: position and counts, once per second
 
 services, std_srvs/srv/Trigger:
-  ~/pause             stop there
-  ~/resume            go on
+  ~/pause             stop at the present position
+  ~/resume            continue from there
 """
 
 import sys
@@ -46,20 +46,20 @@ from tsobs_ros.nodes.wire import clock_message, message_class, wait_until_taken
 from tsobs_ros.settings import live_setting, setting
 
 _READ_AHEAD = 8 * 2**20
-# While the reader's thread unpacks a chunk of the bag, a message that is due waits for the
-# interpreter so long; Python's own 5 ms are too much [s].
+# Time that a due message waits for the interpreter while the reader's thread unpacks a chunk of
+# the bag; Python's default of 5 ms is too long [s].
 _SWITCH_INTERVAL = 0.0005
-# Longest time of catching up, in which services wait [ns].
+# Longest time of catching up without a break, while services wait [ns].
 _MAX_BURST = 5_000_000
 _WAIT_POLL = 10_000_000
 _ACKNOWLEDGE_TIMEOUT = 5.0
-# Longest wait, after which a change of the rate is noticed [s].
+# Longest wait between ticks, after which a change of the rate takes effect [s].
 _MAX_WAIT = 0.02
-# A best-effort subscriber receives nothing before it has matched the publisher too, and others may
-# be discovered at the same time [ns].
+# Time to wait after the last new subscriber [ns]: a best-effort one receives nothing before it has
+# matched the publisher too, and others may be discovered at the same time.
 _SETTLING = 200_000_000
-# The depth of ROS's default profile, for a latched publisher of unknown depth; and what another may
-# leave waiting for slow reliable subscribers.
+# Depth of ROS's default profile, for latched publishers of unknown depth; and depth of the others,
+# that is, how many messages may wait for slow reliable subscribers.
 _USUAL_DEPTH, _DEPTH = 10, 1000
 _FOREVER = 2**63 - 1
 
@@ -92,7 +92,7 @@ class PlayerParameters(SelectingParameters):
     wait_timeout: float = setting(5.0, "Longest wait for them; 0: no limit", unit="s", minimum=0.0)
 
     def select(self, names: Iterable[str]) -> list[str]:
-        """Return which of a bag's topics to play.
+        """Return the topics of a bag to play.
 
         Raises:
             ParameterError: A listed topic is not in the bag, or none is left.
@@ -112,8 +112,8 @@ class PlayerParameters(SelectingParameters):
 class Player(ManagedNode[PlayerParameters]):
     """Plays a bag while it is active; deactivating is a pause, cleaning up releases the bag.
 
-    `bag.playback` decides when to publish what; the node adds the time, the publishers and the
-    user's means: services named as those of rosbag2's player, and live parameters.
+    `bag.playback` schedules the messages; the node adds the time, the publishers and the controls:
+    services with the names of rosbag2's player, and live parameters.
     """
 
     def configure(self) -> None:
@@ -171,7 +171,7 @@ class Player(ManagedNode[PlayerParameters]):
         )
 
     def activate(self) -> None:
-        """Play, as soon as there are subscribers, unless paused."""
+        """Play as soon as there are subscribers, unless paused."""
         self._is_awaited = True
         self._activated = self._since = time.monotonic_ns()
         self._there = 0
@@ -181,7 +181,7 @@ class Player(ManagedNode[PlayerParameters]):
         self._playback.pause(time.monotonic_ns())
 
     def _log_end(self) -> None:
-        """Log what has been played."""
+        """Log the number of messages played."""
         if self._reader.unchecked:
             self.log(Level.WARN, f"{self._reader.path}: {UNCHECKED}")
         self.log(Level.OK, f"played {self.messages} messages of {len(self._counts)} topics")
@@ -193,7 +193,7 @@ class Player(ManagedNode[PlayerParameters]):
 
     @property
     def messages(self) -> int:
-        """The number of messages published since it was configured."""
+        """The number of messages published since the node was configured."""
         return sum(self._counts.values())
 
     @property
@@ -213,7 +213,7 @@ class Player(ManagedNode[PlayerParameters]):
         return next((text for text, holds in states.items() if holds), "playing")
 
     def _play(self) -> int:
-        """Publish what is due; return the time until more is [ns]."""
+        """Publish all messages that are due; return the time until the next one [ns]."""
         playback, now = self._playback, time.monotonic_ns()
         if not self.active:
             return _WAIT_POLL
@@ -276,13 +276,13 @@ def played_topics(
 ) -> dict[str, Publisher]:
     """Return publishers for topics of a bag, by their names in the bag.
 
-    Those that cannot be published, or whose bytes subscribers would decode as something else, are
-    left out with a warning.
+    Topics that cannot be published, or whose bytes subscribers would misinterpret, are left out
+    with a warning.
     """
     publishers = {}
     for topic in topics:
         try:
-            with suppress(BagWriteError):  # no message of its own file, such as a service's event
+            with suppress(BagWriteError):  # a type without its own file, such as a service's event
                 installed = find_definition(topic.type).type_hash
                 if topic.type_hash and installed and topic.type_hash != installed:
                     raise NodeError(f"another definition of {topic.type} is installed")
@@ -302,7 +302,7 @@ def offered_qos(profiles: tuple[QosProfile, ...]) -> QoSProfile:
     matters to late subscribers of latched topics: there it is the sum of the publishers' depths, as
     one publisher now stands for all of them.
     """
-    # Not policies that a subscription is matched by, and often unknown from discovery.
+    # History and depth do not matter for matching, and discovery often leaves them unknown.
     alike = {replace(profile, history="unknown", depth=0) for profile in profiles}
     profile = alike.pop() if len(alike) == 1 else QosProfile()
     depth = _DEPTH

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The process of a node: its arguments, and a clean end by a signal, a finished node or an error.
+"""The process of a node: its arguments, and its clean end by a signal, a finished node or an error.
 
 `run(create)` initialises rclpy, spins the node on a single-threaded executor, and tears everything
 down in order. It is an ordinary rclpy node with three optional members:
@@ -8,13 +8,13 @@ down in order. It is an ordinary rclpy node with three optional members:
 * ``finished`` (bool property): the loop ends once it is true;
 * ``ticker`` (Ticker or None): its ticks are made here, without the executor;
 * ``close()``: called before the node is destroyed, which is the one step that may hang (see
-  `limit_time_left`). Bags and whatever must not be lost are closed here.
+  `limit_time_left`). Bags and everything else that must not be lost are closed here.
 
 Exit codes: 0 after a signal or a finished node, 1 after an expected error or malformed ROS
 arguments, with one line ``error: …`` on stderr. Anything else is a bug and keeps its traceback.
 
 rclpy's own signal handlers are not used: they shut the context down under a running callback,
-which loses early SIGTERMs and sometimes raises inside take. The loop reads a flag instead.
+which loses early SIGTERMs and sometimes raises inside `take`. The loop reads a flag instead.
 """
 
 import argparse
@@ -49,30 +49,30 @@ from tsobs_ros.settings import in_yaml, settings_of
 from tsobs_ros.stop import StopFlag
 
 EXPECTED = (TsobsError, OSError, NameValidationException)
-"""What a user can fix; the second comes of files, the last of a joint or a topic that ROS cannot
-name."""
+"""Errors that a user can fix; OSError comes from files, NameValidationException from a joint or
+topic whose name ROS does not accept."""
 
-# A signal does not wake the executor: the longest time until an idle process notices one [s].
+# Longest time until an idle process notices a signal, which does not wake the executor [s].
 _SPIN_TIMEOUT = 0.2
-# Period of services, parameters and slow timers while a node's ticks are made here [s].
+# Period of serving services, parameters and slow timers while the ticks are made here [s].
 _SERVE_PERIOD = 0.1
-# Destroying two nodes and shutting the context down takes some 20 ms, .5 s on a loaded machine.
+# Destroying two nodes and shutting down takes about 20 ms, on a loaded machine 0.5 s.
 _TEARDOWN_TIMEOUT = 5.0
 
 
 class Ticker:
     """Calls back at a fixed rate or when the callback asks for it, until its node is cleaned up.
 
-    An rclpy timer costs two rebuilt wait sets a tick, which at 200 Hz is more than all that an
-    observer does. So `run` makes a node's ticks itself: it sleeps until the next one on the
-    monotonic clock, and serves everything else in between. In another executor, and under simulated
-    time, which passes only in an executor, the tick is an ordinary timer.
+    An rclpy timer rebuilds the wait set twice per tick, which at 200 Hz costs more than all the
+    work of an observer. So `run` makes a node's ticks itself: it sleeps on the monotonic clock
+    until the next tick, and serves everything else in between. In another executor, or under
+    simulated time, which passes only in an executor, the tick is an ordinary timer.
 
     Args:
-        node: Its ticks are an executor's as long as it follows simulated time.
-        period: Time between ticks [s], the longest if the callback decides.
-        callback: What to do; returns the time until the next tick [ns], or None for the period.
-        executor_clock: The clock of an executor's ticks, if not the node's, which stands still
+        node: The node; while it follows simulated time, an executor makes the ticks.
+        period: Time between ticks [s], the longest one if the callback returns a time.
+        callback: The work of a tick; returns the time until the next one [ns], None for the period.
+        executor_clock: The clock of ticks in an executor; None for the node's, which stands still
             while simulated time does.
     """
 
@@ -86,17 +86,17 @@ class Ticker:
         self._clock = node.get_clock()
         self._callback = callback
         self._period_ns = self._scheduled = round(period * 1e9)
-        # On the monotonic clock [ns]; None as long as ticks are an executor's, as at first.
+        # Next tick on the monotonic clock [ns]; None while an executor makes ticks, as at first.
         self._due: int | None = None
         self._timer = node.create_timer(period, self._tick, clock=executor_clock)
 
     def skip_next(self) -> None:
-        """Leave an executor's next tick out, as its work has just been done."""
+        """Skip the next tick in an executor, as its work has just been done."""
         self._schedule(2 * self._period_ns)
 
     def run_for(self, seconds: float, stop: Callable[[], bool]) -> bool:
-        """Tick and sleep for some time instead of the executor, until something stops it; return
-        whether there are ticks that a sleep can make."""
+        """Tick and sleep for some time in place of the executor, or until `stop` is true; return
+        false at once under simulated time, whose ticks an executor makes."""
         if self._clock.ros_time_is_active:
             if self._due is not None:
                 self._due = None
@@ -116,12 +116,12 @@ class Ticker:
         return True
 
     def _next(self, due: int) -> int:
-        """Make the tick that is due, and return when the next one is [ns]."""
+        """Make the tick that is due, and return the time of the next one [ns]."""
         wait, now = self._callback(), time.monotonic_ns()
         if wait is not None:
             return now + min(wait, self._period_ns)
-        # On the grid of the first tick. One that is late by less than a period is made good;
-        # what fell out before that, while the process was held up, is gone.
+        # Ticks stay on the grid of the first one. If the process was held up, only the latest of
+        # the missed ticks is made up for.
         return due + self._period_ns * max(1, (now - due) // self._period_ns)
 
     def _tick(self) -> None:
@@ -135,9 +135,9 @@ class Ticker:
 
 
 def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
-    """Print the help if it is asked for, and refuse what neither the node nor ROS understands.
+    """Print the help on request, and refuse arguments that neither the node nor ROS understands.
 
-    The node's module has the topics in its docstring and its parameters as `Parameters`.
+    The node's module has the topics in its docstring, and its parameters as `Parameters`.
 
     Raises:
         SystemExit: With 0 after the help, with 2 after an error.
@@ -156,10 +156,10 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
         allow_abbrev=False,
     )
     try:
-        # ROS does not know --help, and it may come after --ros-args.
+        # ROS has no --help, and --help may come after --ros-args.
         own = ["--help"] if {"-h", "--help"} & {*arguments} else remove_ros_args(arguments)[1:]
     except RuntimeError as error:
-        # rclpy does not export the type. What is malformed is for rclpy.init to report.
+        # rclpy does not export the type. Malformed arguments are left for rclpy.init to report.
         if type(error).__name__ == "UnknownROSArgsError":
             parser.error(printable(f"unrecognized ROS arguments: {error}"))
         return
@@ -197,7 +197,7 @@ def run(create: Callable[[], Node], args: Sequence[str] | None = None) -> int:
 
 
 def _log_arguments() -> list[str]:
-    """Return what lets a node do without a log file if ROS could not make its folder."""
+    """Return arguments that switch the log file off if ROS could not write to its folder."""
     try:
         if not os.environ.get("ROS_LOG_DIR"):
             home = Path(os.environ.get("ROS_HOME") or Path(os.environ["HOME"], ".ros"))
@@ -213,8 +213,8 @@ def _log_arguments() -> list[str]:
 def limit_time_left(seconds: float) -> None:
     """End the process by SIGALRM if it still runs after some time [s]; 0 lifts the limit.
 
-    Fast DDS 2.14 sometimes spins for ever while a participant is destroyed and holds the GIL, so
-    that no Python code runs. The default action of a signal needs none; the process then ends by
+    Fast DDS 2.14 sometimes spins for ever while it destroys a participant and holds the GIL, so no
+    Python code runs. The default action of SIGALRM needs no Python code; the process then ends by
     signal 14.
     """
     for stream in (sys.stdout, sys.stderr):  # a forced end runs no exit handlers
@@ -229,12 +229,12 @@ def limit_time_left(seconds: float) -> None:
 def _spin(node: Node, stop: Callable[[], bool]) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    # What lives until the end need not be looked through again and again.
+    # The garbage collector need not look through these lasting objects again and again.
     gc.collect()
     gc.freeze()
     try:
         while rclpy.ok() and not stop() and not getattr(node, "finished", False):
-            # A node makes and drops its ticker as it is configured.
+            # A node makes its ticker when it is configured, and drops it at the clean-up.
             ticker: Ticker | None = getattr(node, "ticker", None)
             if ticker is not None and ticker.run_for(_SERVE_PERIOD, stop):
                 _run_what_is_ready(executor, stop)
@@ -246,7 +246,7 @@ def _spin(node: Node, stop: Callable[[], bool]) -> None:
 
 
 def _run_what_is_ready(executor: SingleThreadedExecutor, stop: Callable[[], bool]) -> None:
-    """Run all callbacks that are ready now; `spin_once` would run one in every second call."""
+    """Run all callbacks that are ready now; `spin_once` would run one per two calls."""
     until = time.monotonic() + _SERVE_PERIOD
     try:
         while not stop() and time.monotonic() < until:
@@ -259,7 +259,7 @@ def _run_what_is_ready(executor: SingleThreadedExecutor, stop: Callable[[], bool
 
 
 def _tear_down(node: Node | None, exit_code: int) -> int:
-    """Close the node, then destroy it, whatever fails on the way."""
+    """Close the node, then destroy it, even if a step fails."""
     for name in ("close", "destroy_node"):
         try:
             getattr(node, name, lambda: None)()

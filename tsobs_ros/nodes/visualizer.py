@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `visualizer` node: arms as markers for RViz and Foxglove; needs no tf.
 
-Each arm swings in its own vertical plane: what the observer estimates, as a translucent ghost with
-its bound, and the truth of a simulator as a solid arm. The ghost has the colour of the sensor's
-fault. Without an observer only the truth is drawn.
+Each arm swings in its own vertical plane: the estimate of the observer as a translucent ghost with
+its bound, and the truth of a simulator as a solid arm. The colour of the ghost shows the level of
+the sensor's fault. Without an observer, only the truth is drawn.
 
 topics, sensor_msgs/msg/JointState without another type:
   ~/markers (out)                    visualization_msgs/msg/MarkerArray
@@ -39,7 +39,7 @@ from tsobs_ros.style import BLUE, GREEN, GRID, MUTED, ORANGE, RED
 
 _WANTED = (topics.TRUE_STATES, topics.STATES, topics.STATE_BOUNDS)
 _LINK, _ = topics.sides("")
-_LIFETIME = 1  # time for which a marker is drawn, and messages are [s]
+_LIFETIME = 1  # time for which markers are drawn, and messages are used [s]
 
 _COLOUR_OF = {Level.OK: BLUE, Level.WARN: ORANGE, Level.ERROR: RED, Level.STALE: MUTED}
 _TRUTH = "#9AA5B1"
@@ -47,9 +47,9 @@ _GHOST, _SIGMAS = 0.45, 3.0
 """Opacity of the estimate; half width of its bound, in 1σ bounds."""
 
 # An arm swings about −y at its place on the x axis: its angle is 0 hanging down, and positive
-# towards +x, so that it is seen as in a textbook from −y. The motor's disc is behind the link, and
-# an arc from the motor's angle to the link's shows how far the spring between them is wound up.
-# All lengths are shares of the link's.
+# towards +x, so the view from −y is that of a textbook. The motor's disc is behind the link, and an
+# arc from the motor's angle to the link's shows how far the spring between them is wound up.
+# All lengths are in units of the link's length.
 _SPACING, _MOTOR_RADIUS = 2.6, 0.24
 _DIALS = ((1.10, 1.18), (0.27, 0.33))  # inner and outer radius, of link and motor
 
@@ -76,7 +76,7 @@ class Angles(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """What is known of an arm: angles, bounds, level and words of the sensor's fault."""
+    """The data on an arm: angles, bounds, level and description of the sensor's fault."""
 
     name: str
     truth: Angles | None = None
@@ -89,7 +89,7 @@ class Arm(NamedTuple):
 def scene(arms: Sequence[Arm], look: VisualizerParameters, stamp: Any) -> MarkerArray:
     """Return the markers of arms beside each other, stamped with a builtin_interfaces Time.
 
-    Markers of the same kind have a namespace, which views can hide, and a number per arm.
+    Markers of the same kind share a namespace, which views can hide, with a number per arm.
     """
     array = MarkerArray()
     for place, arm in enumerate(arms):
@@ -168,7 +168,7 @@ def _markers(arm: Arm, pen: _Pen) -> Iterator[Marker]:
 def _sides(
     kind: str, angles: Angles, pen: _Pen, colour: ColorRGBA, width: float
 ) -> Iterator[Marker]:
-    """Draw link, its tip and the motor's pointer; `width` is that of what is thin."""
+    """Draw the link, its tip and the motor's pointer; `width` scales the thin parts."""
     link, motor = (Quaternion(y=-math.sin(each / 2), w=math.cos(each / 2)) for each in angles)
     bar, ball = (0.05 * width, 0.05 * width, 1.0), (0.13 * width**0.5,) * 3
     pointer = (0.035 * width, 0.03 * width, _MOTOR_RADIUS)
@@ -192,23 +192,23 @@ def _colour(text: str, opacity: float = 1.0) -> ColorRGBA:
 
 
 class Visualizer(ManagedNode[VisualizerParameters]):
-    """Draws what an observer publishes of arms, and the truth of a simulator."""
+    """Draws an observer's estimates of arms, and the truth of a simulator."""
 
     def configure(self) -> None:
-        """Make everything."""
+        """Create the feed, the publisher and the ticker."""
         self._feed = ObserverFeed(self, self.parameters.observer, _WANTED)
         self._markers = self.create_publisher(MarkerArray, "~/markers", QoSProfile(depth=10))
         self.ticker = Ticker(self, 1.0 / self.parameters.rate, self._draw)
 
     def _draw(self) -> None:
         self._feed.read()
-        # What is drawn goes when its lifetime is over.
+        # Markers disappear when their lifetime is over.
         wanted = self.active and self._markers.get_subscription_count()
         if wanted and (arms := self.arms()):
             self._markers.publish(scene(arms, self.parameters, self.get_clock().now().to_msg()))
 
     def arms(self) -> list[Arm]:
-        """Return what is known of each arm that the observer or the simulator has, in order."""
+        """Return the data on each arm of the observer or the simulator, in order."""
         truth, states, bounds = (
             self._feed.values("position", topic, _LIFETIME) for topic in _WANTED
         )

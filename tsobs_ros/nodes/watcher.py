@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What live views show: the newest messages of an observer, and of the truth.
+"""The data of live views: the newest messages of an observer, and of the truth.
 
 `ObserverFeed` keeps them for any node; `Watcher` is the node of `tsobs watch`.
 """
@@ -40,13 +40,13 @@ _TABLES = {
 
 
 class View(NamedTuple):
-    """What is known of an observer at an instant.
+    """The data on an observer at an instant.
 
     Attributes:
         observer: Its full name.
         age: Time since its last estimate [s]; NaN if there was none.
-        tables: By title, name of the entry and field of the message: the `value`, and its 1σ
-            `bound` and the `truth` if they are known.
+        tables: The `value`, and its 1σ `bound` and the `truth` if they are known, by title, name of
+            the entry and field of the message.
         statuses: Its diagnostics by name.
     """
 
@@ -61,14 +61,14 @@ class ObserverFeed:
 
     Args:
         observer: The observer's name, relative to the node's namespace or full.
-        wanted: Topics of JointStates, those of `estimate_topics` below the observer's name, and of
-            `TRUTH`.
+        wanted: Topics of JointStates in `estimate_topics`: of `TRUTH`, or below the observer's
+            name.
 
     Attributes:
         name: The observer's full name.
         latest: The newest message of each topic, by the name in `wanted`.
-        arrived: When it was read, on the monotonic clock [s].
-        statuses: The observer's newest diagnostics, by name without the observer's.
+        arrived: When each of these was read, on the monotonic clock [s].
+        statuses: The observer's newest diagnostics, by their names without the observer's name.
     """
 
     def __init__(self, node: Node, observer: str, wanted: Iterable[str]) -> None:
@@ -86,7 +86,7 @@ class ObserverFeed:
         node.create_subscription(DiagnosticArray, "/diagnostics", self._take_statuses, 10)
 
     def read(self) -> None:
-        """Take what has arrived since the last time."""
+        """Take the messages that have arrived since the last call."""
         for key, subscription in self._topics.items():
             taken = subscription.drain()
             if taken:
@@ -95,7 +95,7 @@ class ObserverFeed:
                     self.latest[key] = self._decode(taken[-1][0])
 
     def values(self, field: str, topic: str, max_age: float = math.inf) -> dict[str, float]:
-        """Return a field of the newest message of a topic, by name; none if it is too old [s]."""
+        """Return a field of a topic's newest message by entry; none if older than `max_age` [s]."""
         message = self.latest.get(topic)
         if message is None or time.monotonic() - self.arrived[topic] >= max_age:
             return {}
@@ -108,22 +108,22 @@ class ObserverFeed:
                 level = Level(each.level[0]) if each.level[0] in set(Level) else Level.STALE
                 values = {item.key: item.value for item in each.values}
                 found[name] = Status(name, level, each.message, values)
-        # An array has all of the node's statuses, so that those of an earlier design go.
+        # An array has all statuses of the node, so those of an earlier design disappear.
         self.statuses = found or self.statuses
 
 
 class Watcher(Node):
-    """Shows an observer, by its name from the root, until `show` returns that it is enough.
+    """Shows an observer, given by its full name, until `show` returns false.
 
     Raises:
-        NodeError: The observer's name is not one of a node.
+        NodeError: The observer's name is not the name of a node.
     """
 
     def __init__(self, observer: str, show: Callable[[View], bool], **node_kwargs: Any) -> None:
         namespace, _, name = observer.rpartition("/")
         if not name:
             raise NodeError(f"'{observer}' is not the name of an observer")
-        # There is nothing to set, and requests of an unknown type would end it in rclpy.
+        # There are no parameters to set, and rclpy fails on requests with an unknown type.
         super().__init__(
             f"tsobs_watch_{os.getpid()}",
             namespace=namespace,

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics at less cost than rclpy's: queues emptied in bulk, JointStates as bytes; message types.
+"""Topics that cost less than rclpy's: queues emptied in bulk, JointStates as bytes; message types.
 
 An rclpy executor rebuilds its wait set and makes a task for every callback, which costs five to
 ten times as much as the message itself. A node that needs its messages only by the next tick
@@ -39,9 +39,9 @@ Taken = list[tuple[Any, Mapping[str, Any]]]
 """Messages, each with its info."""
 
 QUIET = PublisherEventCallbacks(use_default_callbacks=False)
-"""Every QoS event is one more thing that an executor gathers for each of its waits."""
+"""No QoS events: an executor would gather each of them again before every wait."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Of what stays valid until the next message."""
+"""For messages that stay valid until the next one."""
 
 _FEW = 32
 _NAME = re.compile(r"([A-Za-z]\w*)/(msg|srv|action)/([A-Za-z]\w*)", flags=re.ASCII)
@@ -57,9 +57,9 @@ class _DrainedGroup(CallbackGroup):
 class DrainedSubscription:
     """A subscription whose messages wait in its queue for `drain`, as CDR bytes if `raw`.
 
-    The queue is the one of the QoS profile: with `keep last`, the middleware drops what does not
-    fit into `depth` between two drains, oldest first. `on_arrival` is called by an executor as soon
-    as messages have come, to drain them. `subscription` is rclpy's.
+    The queue is that of the QoS profile: with `keep last`, the middleware drops the oldest messages
+    beyond `depth` between two drains. An executor calls `on_arrival` as soon as messages have
+    arrived, to drain them. `subscription` is rclpy's.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class DrainedSubscription:
         on_arrival: Callable[[], None] | None = None,
     ) -> None:
         self._on_arrival = on_arrival
-        # What an executor has taken already, of an observer that may be inactive.
+        # Messages that an executor has taken already; an inactive observer leaves them here.
         self._first: deque[tuple[Any, Mapping[str, Any]]] = deque(maxlen=qos.depth or None)
         # No QoS events either: Fast DDS waits for them on the reader's one status condition, which
         # unread data keeps raised, so that the executor would spin until the next drain.
@@ -88,12 +88,12 @@ class DrainedSubscription:
         )
 
     def drain(self, limit: int | None = None, until: float = math.inf) -> Taken:
-        """Take what is in the queue, oldest first.
+        """Take the messages in the queue, oldest first.
 
         Args:
             limit: Largest number of messages to take; None empties the queue.
-            until: On the monotonic clock [s]; then the rest stays in the queue. A few messages are
-                taken in any case.
+            until: Time on the monotonic clock after which the rest stays in the queue [s]; a few
+                messages are taken in any case.
 
         Returns:
             Each message, or its CDR bytes if the subscription is raw, and its info as rclpy gives
@@ -118,18 +118,18 @@ class DrainedSubscription:
         return taken
 
     def discard(self) -> None:
-        """Throw away what is in the queue, as much as fits."""
+        """Discard the messages in the queue, at most as many as fit in it."""
         self.drain(self._first.maxlen)
 
     def _arrived(self, message: Any, info: Any) -> None:
-        """Take the one message that an executor has taken already."""
+        """Keep the message that an executor has taken, and call back."""
         assert self._on_arrival is not None
         self._first.append((message, info))
         self._on_arrival()
 
 
 class JointStatePublisher:
-    """Publishes JointStates of any of some parts, such as joints, as `Layouts` have them."""
+    """Publishes JointStates that hold any of the given parts, such as joints; see `Layouts`."""
 
     def __init__(
         self,
@@ -143,7 +143,7 @@ class JointStatePublisher:
         self._layouts = Layouts(parts)
 
     def publish(self, stamp: int, rows: Mapping[int, Sequence[float]]) -> None:
-        """Send a message, unless it is empty: of some parts, by index, as many numbers as given."""
+        """Send the given numbers of some parts, by index, as one message; none without parts."""
         if rows:
             layout = self._layouts.of(tuple([(part, len(row)) for part, row in rows.items()]))
             numbers = [number for row in rows.values() for number in row]
@@ -163,7 +163,7 @@ def wait_until_taken(publishers: Iterable[Publisher], seconds: float) -> None:
 
 
 def message_class(name: str) -> type[Any]:
-    """Return the class of a type, `package/msg/Type`, or as `package/srv/Type_Event`.
+    """Return the class of a type, such as `package/msg/Type` or `package/srv/Type_Event`.
 
     Raises:
         NodeError: The name is not one of a type, or the type is not installed.
@@ -171,12 +171,12 @@ def message_class(name: str) -> type[Any]:
     if (match := _NAME.fullmatch(name)) is None:
         raise NodeError(f"'{name}' is not a message type: expected package/msg/Type")
     package, kind, type_name = match.groups()
-    # Names come from bags and networks, and importing runs code: of interface packages only.
+    # Names come from bags and networks, and importing runs code: import interfaces only.
     if not any((folder / package / kind).is_dir() for folder in share_folders()):
         raise NodeError(f"{name} is not installed")
     try:
         module: Any = import_module(f"{package}.{kind}")
-        # That of a service or an action has the classes of all that it sends.
+        # The module of a service or an action has the classes of all its messages.
         where = getattr(module, type_name.partition("_")[0]).__module__
         found: type[Any] = getattr(sys.modules[where], type_name)
     except (ImportError, AttributeError) as error:

@@ -6,14 +6,14 @@ With x̄ = [x; ω] and one output matrix C chosen among the Cᵢ, the system rea
 
     Ē x̄' = Āᵢ x̄ + B̄ᵢ u + N y − N C̄₀ x̄ ,     y = C̄ x̄ ,     C̄ = [C I],  C̄₀ = [C 0],  N = [0; I]
 
-and L ẏ added on both sides makes E_L = Ē + L C̄ invertible. The conditions of Theorems 1 and 2 are
+and adding L ẏ on both sides makes E_L = Ē + L C̄ invertible. The conditions of Theorems 1 and 2 are
 
     (18), (37)   A₁ᵢᵀP + P A₁ᵢ − C̄ᵀQᵢᵀ − QᵢC̄ + 2α₁ᵢP ≺ 0 ,  Qᵢ = P H₁ᵢ ,  P = Pᵀ ≻ 0
     (19)         P M = C̄ᵀ
     (38)         ‖P⁻¹‖ ≥ ε ,  ε = max α₁ᵢ/(ξᵢ‖C̄‖)
 
-Without gains, (18) is checked on {C̄x̄ = 0}, on which Qᵢ drops out: by Finsler's lemma some Qᵢ
-satisfies it if and only if it holds there. docs/method.md has the propositions with their proofs.
+Without gains, (18) is checked on {C̄x̄ = 0}, where Qᵢ drops out: by Finsler's lemma, some Qᵢ
+satisfies (18) if and only if it holds there. docs/method.md has the propositions with their proofs.
 """
 
 from typing import NamedTuple
@@ -40,8 +40,8 @@ class Augmentation:
         A1: A₁ᵢ = E_L⁻¹(Āᵢ − N C̄₀), shape (r, n + p, n + p).
         B1: E_L⁻¹B̄ᵢ with B̄ᵢ = [Bᵢ; 0], shape (r, n + p, m).
         N1: E_L⁻¹N, shape (n + p, p).
-        L1: E_L⁻¹L, what the output adds to the observer's own state, shape (n + p, p). It is [0; I]
-            whatever L is: E_L w = L v gives L₂(C̄w − v) = 0, hence C̄w = v and w_x = 0.
+        L1: E_L⁻¹L, which maps the output to x̂̄ − ξ (see `observer`), shape (n + p, p). It is [0; I]
+            for every L: E_L w = L v gives L₂(C̄w − v) = 0, hence C̄w = v and w_x = 0.
     """
 
     def __init__(self, system: TSModel, L: Array | None = None) -> None:
@@ -95,7 +95,7 @@ def check_conditions(
     epsilon: float = 0.0,
     rounding: float = 1e-9,
 ) -> dict[str, Condition]:
-    """Return the conditions of a solution, checked by eigenvalues, by equation and rule.
+    """Return the conditions of a solution by equation and rule, checked by eigenvalues.
 
     Args:
         aug: The system in augmented form.
@@ -141,9 +141,9 @@ def innovation_drive(aug: Augmentation) -> float:
 
 
 def unmatched_share(aug: Augmentation, P: Array, delta_A: Array) -> float:
-    """Return the share of E_L⁻¹ΔĀ that the best Ξ leaves over, at the rule where it is least.
+    """Return the share of E_L⁻¹ΔĀ that the best Ξ cannot match, for the rule with the least share.
 
-    By Proposition 3 it is 1, all of it, in the norm of P, through M = P⁻¹C̄ᵀ.
+    By Proposition 3 the share is 1 in the norm of P, with M = P⁻¹C̄ᵀ: nothing is matched.
     """
     root = np.linalg.cholesky(P).T
     reached = root @ np.linalg.solve(P, aug.C_bar.T)
@@ -157,7 +157,7 @@ def unmatched_share(aug: Augmentation, P: Array, delta_A: Array) -> float:
 def uncertainty_factor(P: Array) -> float:
     """Return the least κ with |eᵀPΔA e| ≤ κ ‖ΔA‖ eᵀPe for every e and ΔA.
 
-    It is (√c + 1/√c)/2 with c = cond(P) (Proposition 5); the term 2α₁P of (18) takes it for 1.
+    It is (√c + 1/√c)/2 with c = cond(P) (Proposition 5); the term 2α₁P of (18) assumes 1.
     """
     root = float(np.sqrt(np.linalg.cond(P)))
     return (root + 1.0 / root) / 2.0

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The claims of the method's paper, each judged by a number that is computed here.
 
-The verdicts are not written down: each follows from its number by a stated limit, so a change of
-the code that reversed one would reverse the table.
+The verdicts are not stored: each follows from its number by a stated limit, so that a change of the
+code that reversed a result would also change the table.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ from tsobs_ros.paper.synthesis import check_stability
 VERDICTS = HOLDS, HOLDS_ONLY_IF, DOES_NOT_HOLD = "holds", "holds only if", "does not hold"
 
 ROUNDING = 1e-3
-"""‖P M − C̄ᵀ‖ that four printed decimals can leave."""
+"""The largest ‖P M − C̄ᵀ‖ that can be due to only four printed decimals."""
 
 
 class Claim(NamedTuple):
@@ -39,7 +39,7 @@ class Claim(NamedTuple):
         claim: One sentence.
         verdict: One of `VERDICTS`, decided by `number`.
         condition: The condition of "holds only if"; else a reason, or nothing.
-        number: What was measured, as text with its unit.
+        number: The computed number, as text with its unit.
     """
 
     claim: str
@@ -83,7 +83,7 @@ def check_printed_p() -> dict[str, Condition]:
 def check_printed_gains() -> list[dict[str, Condition]]:
     """Return (37) with the printed P and H of Example 3, for each reading of them.
 
-    There is one for each change of sign of P's coordinates, each of H's, and H as Hᵢ or E_L⁻¹Hᵢ.
+    A reading is a change of sign of P's coordinates, one of H's, and H taken as Hᵢ or E_L⁻¹Hᵢ.
     """
     aug, signs = Augmentation(examples.arm_system(ElasticJointArm())), examples.sign_changes(4)
     gains = [change[:, np.newaxis] * examples.EXAMPLE_3_H for change in signs]

@@ -4,7 +4,7 @@
 
 T. V. Dang, W.-J. Wang, L. Luoh, C.-H. Sun, "Adaptive observer design for the uncertain
 Takagi–Sugeno fuzzy system with output disturbance", IET Control Theory & Applications (2011).
-docs/method.md has the reasons for the signs, and what is not printed.
+docs/method.md has the reasons for the signs, and the data that are not printed.
 """
 
 import math
@@ -32,7 +32,7 @@ _B = ([[1.0], [0.0], [0.0]], [[0.0], [1.0], [0.0]])
 
 @dataclass(frozen=True)
 class PaperExample:
-    """Example 1 or 2: the uncertain system, what disturbs it and what the observer is given.
+    """Example 1 or 2: the uncertain system, its disturbance and the data given to the observer.
 
     Attributes:
         system: The T–S system without its uncertainty.
@@ -64,7 +64,7 @@ def _system(A1: list[list[float]], A2: list[list[float]]) -> TSModel:
 def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSModel:
     """Return the two-rule T–S form of an arm, equal to it wherever |q₁| ≤ x_max.
 
-    That of the default arm and angle is the system of Example 3, which has no ΔA.
+    The default arm and angle give the system of Example 3, which has no ΔA.
 
     Sector nonlinearity: sin q₁ = (h₁·1 + h₂·b) q₁ with b = sin(x_max)/x_max, the paper's
     (48)–(49) at x_max = π/2.
@@ -189,13 +189,13 @@ EXAMPLE_3_H = np.array(
         [[29.2736], [-6.4259], [94.4479], [67.1429], [23.7811]],
     ]
 )
-"""Hᵢ of Example 3, shape (2, 5, 1), up to the same changes of sign. Of all of them, and of taking
-the numbers for Hᵢ or for E_L⁻¹Hᵢ, this reading violates (37) least if P and H change together,
-and makes the best observer."""
+"""Hᵢ of Example 3, shape (2, 5, 1), up to the same changes of sign. Among all of these, with the
+numbers taken as Hᵢ or as E_L⁻¹Hᵢ, this reading violates (37) least if P and H change together, and
+it gives the best observer."""
 
 
 def sign_changes(count: int) -> Array:
-    """Return every change of sign of the last `count` of the coordinates after the first.
+    """Return every change of sign of the `count` coordinates after the first.
 
     The first coordinate of Example 3 is the measured angle; its sign and that of its disturbance
     are fixed by C̄ = [1 0 0 0 1], so only relative signs of the others are open. Shape (2^count,

@@ -9,7 +9,7 @@ Its (9), (30) and (17), (32), divided by E_L, with e_y = y − C̄x̂̄:
 
 The observer's own state is ξ = x̂̄ − E_L⁻¹L y, whose derivative has no ẏ.
 
-The observer's limits are the subject of docs/method.md; it is here to be compared.
+docs/method.md discusses the limits of this observer, which is here only for comparison.
 """
 
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ SYSTEM_WARNING = (
 """Warning for users of the paper's observer of a T–S system, given once."""
 
 _MIDPOINT = 1.0421906109874948
-"""2 sinh(1/2): the inverse of what a step at that rate takes in of a difference between rules."""
+"""2 sinh(1/2): the inverse of the share of a difference between rules that a step takes in."""
 
 _EDGE = 1e-9
 
@@ -67,10 +67,10 @@ class AdaptiveObserver:
     limits: Array
 
     def estimates(self, xi: Array, y: Array, h: Array) -> tuple[Array, Array, Array]:
-        """Return x̂̄, the disturbance's estimate by (29), and e_y, of ξ, y and the weights.
+        """Return x̂̄, the disturbance's estimate by (29), and e_y, from ξ, y and the weights.
 
-        Shapes are (..., n + p), (..., p) and (..., p); those of the arguments are (..., n + p),
-        (..., p) and (..., r).
+        The results have the shapes (..., n + p), (..., p) and (..., p), the arguments have
+        (..., n + p), (..., p) and (..., r).
         """
         aug = self.augmentation
         x_bar = xi + y @ aug.L1.T
@@ -90,13 +90,13 @@ class AdaptiveObserver:
 
 
 def project(value: Array, rate: Array, Gamma: Array, limits: Array) -> Array:
-    """Return rates Γ Y without what leads out of ‖Ξ‖ ≤ ξ where Ξ is on that bound.
+    """Return rates Γ Y without the part that leads out of ‖Ξ‖ ≤ ξ if Ξ is on that bound.
 
     It is Γ Y − Γ g ⟨g, ΓY⟩/⟨g, Γg⟩, with the subgradient g = u₁v₁ᵀ of the spectral norm. Because
     the ball is convex, ⟨g, Ξ̂ − Ξ⟩ ≥ 0 for every Ξ in it, so this adds a term ≤ 0 to V'.
 
-    Ξ and Γ Y have the shape (..., p, q), Γ, positive definite where Ξ is not 0, (..., p, p), and
-    ξ > 0 fits the axes before.
+    Ξ and Γ Y have the shape (..., p, q); Γ has the shape (..., p, p), and is positive definite if Ξ
+    is not 0; ξ > 0 broadcasts to the axes before these.
     """
     edge = limits * (1.0 - _EDGE)
     # ‖Ξ‖² is at most Σ Ξᵢⱼ², which rarely reaches the bound.
@@ -112,7 +112,7 @@ def project(value: Array, rate: Array, Gamma: Array, limits: Array) -> Array:
 
 
 def clip(value: Array, limits: Array) -> Array:
-    """Return the nearest matrices with ‖Ξ‖ ≤ ξ, without what a step overshoots; see `project`."""
+    """Return the nearest matrices with ‖Ξ‖ ≤ ξ, as a step may overshoot; see `project`."""
     left, singular, right = np.linalg.svd(value, full_matrices=False)
     excess = np.maximum(singular - limits[..., np.newaxis], 0.0)
     return np.asarray(value - left * excess[..., np.newaxis, :] @ right)
@@ -123,10 +123,10 @@ def paper_observer(
 ) -> Estimator:
     """Return the method's observer for the arm of its Example 3, with the gains that it prints.
 
-    The period is in s, 1σ of a sample in rad: the only known part of an innovation's size.
+    `period` is in s. `measurement_std` [rad] is the only known part of an innovation's size.
 
     Raises:
-        ModelError: The arm is another one; the method prints gains for this one only.
+        ModelError: The arm is not that of Example 3, the only one for which gains are printed.
     """
     if arm != ElasticJointArm():
         raise ModelError(
@@ -157,17 +157,17 @@ def paper_system_observer(request: TSRequest) -> Estimator:
     """Return the method's observer for a T–S system, started at ω̂₀(0) = y(0) − C x̂(0).
 
     From this start e_y and Ξ̂ᵢ stay zero (Proposition 1 of docs/method.md), so neither gains nor the
-    adaptive law enter the estimate: x̂ is the model, and ω̂ = y − Σ hᵢCᵢx̂ by (29).
+    adaptive law enter the estimate: x̂ is the model's state, and ω̂ = y − Σ hᵢCᵢx̂ by (29).
 
-    Disturbance model, noise and vertices of the request are not used.
+    Disturbance model, process noise and vertices of the request are not used.
 
     Raises:
-        ModelError: The premise is not what the method measures, the first outputs.
+        ModelError: The premises are not the first outputs, which the method measures.
     """
     _require_measured_premise(request)
     model, rate = request.model, 1.0 / request.period
     (r, n, _), p, scheduled = model.A.shape, len(model.C), model.schedule.shape[1]
-    # p states more follow Σ hᵢ(Cᵢ − C)x̂ within a period, as weights enter derivatives only.
+    # p further states follow Σ hᵢ(Cᵢ − C)x̂ within a period, as weights enter only derivatives.
     mismatch = model.rule_outputs - model.rule_outputs[0]
     mean = sum(mismatch[1:], start=mismatch[0]) / r
     F = np.pad(model.A, ((0, 0), (0, p), (0, p)))
@@ -189,7 +189,7 @@ def paper_system_observer(request: TSRequest) -> Estimator:
 
 
 def _require_measured_premise(request: TSRequest) -> None:
-    """Refuse premises other than the first outputs, measured or scheduled by their names."""
+    """Refuse premises other than the first outputs, measured or scheduled under their names."""
     model, names = request.model, request.output_names
     scheduled = request.input_names[model.input_count :]
     for j, (of_state, of_signals) in enumerate(zip(model.premise, model.schedule, strict=True)):

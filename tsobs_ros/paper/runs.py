@@ -4,8 +4,8 @@
 
 Examples 1 and 2 run without noise, in five variants of the method's observer. Example 3 is the
 nonlinear arm with a little process noise, u = sin t, and white measurement noise of 5 % of the
-largest angle, in one run a seed; PO and PIO have the best θ of a grid, the paper's observer its
-printed gains.
+largest angle, with one run per seed. PO and PIO have the best θ of a grid, the paper's observer has
+its printed gains.
 """
 
 import math
@@ -32,7 +32,7 @@ from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _PERIOD = 8e-3
-"""Runge–Kutta step of plants and observers together [s]."""
+"""Runge–Kutta step of the plants and observers, which are integrated together [s]."""
 
 _DURATION, SETTLED = 20.0, 10.0
 """Length of Examples 1 and 2, and the time from which their errors count [s]."""
@@ -45,7 +45,7 @@ VARIANTS = ("adaptive", "fixed", "noise_fed", "model_only", "consistent")
 fixed: the same without adaptation.
 noise_fed: as fixed, but y is replaced by noise of standard deviation 1; only the premise z is still
     the plant's.
-model_only: the model integrated from x̂(0) = 0 with no measurement at all but z.
+model_only: the model integrated from x̂(0) = 0 with no measurement except z.
 consistent: as adaptive, but started at ω̂₀(0) = y(0), so that e_y(0) = 0."""
 
 _NOISE_SEED, _FIRST_SEED = 20110022, 9000
@@ -79,7 +79,7 @@ class ExampleRun:
         states: x, shape (samples, 2, n); the second axis is λ ∈ {0, 1}.
         disturbance: ω, shape (samples, p).
         outputs: y, shape (samples, 2, p); the first is the premise.
-        estimates: By variant.
+        estimates: Estimates by variant.
     """
 
     example: PaperExample
@@ -102,7 +102,7 @@ class ExampleRun:
     def lyapunov(self, variant: str) -> Array:
         """Return V = ēᵀPē + Σ tr(Ξ̂ᵢᵀΓᵢ⁻¹Ξ̂ᵢ), shape (samples, 2).
 
-        It is the method's V if Ξᵢ = 0, which is so at λ = 0.
+        This is the method's V if Ξᵢ = 0, as at λ = 0.
         """
         aug, estimates = self.design.augmentation, self.estimates[variant]
         # ē = x̄ − x̂̄ is T e_x on {C̄x̄ = 0} and e_y across it.
@@ -124,7 +124,7 @@ class ExampleRun:
         return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
     def difference(self, variant: str, since: float = 0.0) -> float:
-        """Return the largest |x̂ − x̂'| of `fixed` and another variant from `since` [s] on."""
+        """Return the largest |x̂ − x̂'| between `fixed` and another variant from `since` [s] on."""
         difference = self.estimates["fixed"].x - self.estimates[variant].x
         return float(np.abs(difference[self.times >= since]).max())
 
@@ -199,10 +199,10 @@ def run_example(example: PaperExample) -> ExampleRun:
 
 
 class ObserverErrors(NamedTuple):
-    """Errors of one observer, one row a run.
+    """Errors of one observer, one row per run.
 
     Attributes:
-        rmse: Of the four states in design coordinates, shape (runs, 4).
+        rmse: RMSE of the four states in design coordinates, shape (runs, 4).
         theta: Its θ [1/s]; NaN if it has none.
         example: x̂ of the first run, shape (samples, 4).
     """
@@ -241,9 +241,9 @@ class ArmComparison(NamedTuple):
 
 
 def compare_on_arm(design: Design, seeds: int) -> ArmComparison:
-    """Run every observer on the same noisy arm, once a seed.
+    """Run every observer on the same noisy arm, once per seed.
 
-    The model and noise densities of the certified design are the EKF's too.
+    The EKF uses the model and noise densities of the certified design, too.
     """
     runs = simulate(SCENARIOS["noise"], range(_FIRST_SEED, _FIRST_SEED + seeds), _ARM_DURATION)
     arm, asked = ElasticJointArm(), design.arm_request
@@ -273,7 +273,7 @@ def compare_on_arm(design: Design, seeds: int) -> ArmComparison:
         return errors(extended_kalman(request.flow, *covariances, gate=math.inf))
 
     paper = paper_observer(arm, *known)
-    # x̂̄(0) = 0 is ξ(0) = −E_L⁻¹L y(0), which is zero in all states but the disturbance's.
+    # x̂̄(0) = 0 means ξ(0) = −E_L⁻¹L y(0), which is zero except in the disturbance's state.
     xi = np.hstack([np.zeros((seeds, arm.output_matrix.shape[1])), -runs.measurements[:, 0]])
     observers = {
         "PO": best(high_gain),

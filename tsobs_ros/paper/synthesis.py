@@ -6,8 +6,8 @@
     2  ε = max α₁ᵢ/(ξᵢ‖C̄‖)                          5  choose Γᵢ ≻ 0
     3  P, Qᵢ from (18)/(37), with ‖P⁻¹‖ ≥ ε (38)
 
-The conditions do not change when P and Qᵢ are multiplied by a number, so (38) never decides whether
-a design exists: the smallest P ⪰ I is divided by its smallest eigenvalue and by ε.
+(18) and (37) do not change if P and Qᵢ are multiplied by a number, so (38) never decides whether a
+design exists: the smallest P ⪰ I is divided by its smallest eigenvalue and by ε.
 """
 
 from dataclasses import dataclass
@@ -27,12 +27,12 @@ from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.paper.augmentation import Augmentation, Condition, check_conditions, failing
 
 INNOVATION_RATE = 20.0
-"""Decay asked of the innovation [1/s], which (37) leaves open. The slower it is, the longer the
-adaptive law integrates the rest of the observer's own start, and the further Ξ̂ drifts. It is asked
-for in the direction of the smallest P; in others the rate may be lower by up to cond(P)."""
+"""Required decay rate of the innovation [1/s], which (37) leaves open. The slower the decay, the
+longer the adaptive law integrates the rest of the observer's own start, and the further Ξ̂ drifts.
+The rate is required where P is smallest; in other directions it may be lower by up to cond(P)."""
 
 _MARGIN = 0.02
-"""How far below zero the left side of (18) is asked to be, for P ⪰ I."""
+"""Required distance of the left side of (18) below zero, for P ⪰ I."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,11 @@ def design_adaptive_observer(system: TSModel, alpha: Array, xi: Array) -> Adapti
     if proof.P is None:
         raise DetectabilityError(_INFEASIBLE.format(reason))
     epsilon, identity = aug.epsilon(alpha, xi), np.eye(len(aug.L))
-    # Only the part of the error that the output shows can be made to decay at will.
+    # Only the part of the error that is visible in the output can be made to decay at will.
     seen = np.linalg.pinv(aug.C_bar) @ aug.C_bar
     decrease = _MARGIN * identity + 2.0 * INNOVATION_RATE * seen
     smallest, Q = smallest_lyapunov(aug.A1 + alpha_1[:, None, None] * identity, aug.C_bar, decrease)
-    # A little smaller, so that rounding does not decide.
+    # P is a little smaller than needed, so that rounding does not decide.
     P = smallest * ((1.0 - 1e-9) / (epsilon * np.linalg.eigvalsh(smallest)[0]))
     H1 = np.asarray(np.linalg.solve(smallest, Q))
     M = np.asarray(np.linalg.solve(P, aug.C_bar.T))
@@ -103,7 +103,7 @@ what would help:
 
 
 def check_stability(A: Array, rates: Array) -> tuple[CommonLyapunov, str]:
-    """Decide Proposition 2's question: has one P ≻ 0 AᵢᵀP + PAᵢ + 2 rateᵢ P ≺ 0 for every rule?
+    """Decide Proposition 2's question: does one P ≻ 0 satisfy AᵢᵀP + PAᵢ + 2 rateᵢ P ≺ 0 for all i?
 
     Returns:
         The answer for Aᵢ + rateᵢ I, shapes (r, n, n) and (r,), with its proof, and a line in words.
@@ -114,7 +114,7 @@ def check_stability(A: Array, rates: Array) -> tuple[CommonLyapunov, str]:
     r, n = A.shape[:2]
     shifted = A + rates[:, None, None] * np.eye(n)
     for rule, matrix in enumerate(shifted):
-        # To a sensor without any signal every mode is hidden, which is Proposition 1.
+        # With a sensor that has no signal, every mode is hidden, as in Proposition 1.
         if slow := undetectable_modes(matrix, np.zeros((1, n))):
             # Rounding must not choose between modes that are equally slow.
             mode = max(slow, key=lambda m: (round(m.eigenvalue.real, 9), m.eigenvalue.imag))

@@ -26,15 +26,15 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": math.pi / 180, "rpm": math.pi / 30},
     "torque": {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kNm": 1e3},
 }
-"""Each unit in ns, rad, rad/s or N m; the first one is the usual one."""
+"""The size of each unit in ns, rad, rad/s or N m; the first unit is the usual one."""
 
 MAX_LINE = 2**20
-"""Largest number of characters in a line: bounds the memory, whatever the file is."""
+"""Largest number of characters in a line, which bounds the memory for any file."""
 
 NO_TIME = -(2**62)
 """Stamp of a line without a time."""
 
-_LATEST = 2**31 * NANOSECONDS  # that a message's stamp cannot hold
+_LATEST = 2**31 * NANOSECONDS  # beyond the stamp of any message
 _NOTHING = frozenset(("", "nan", "n/a", "null"))
 _FRACTION = re.compile(r"(?<=:\d\d)[.,](\d+)")
 _UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\d\])][^\])]*)[\])]")
@@ -53,7 +53,7 @@ class Column(NamedTuple):
         """Return the column with the unit of its title, else the given one, else the usual one.
 
         Raises:
-            LogError: A unit is unknown, or there are two.
+            LogError: A unit is unknown, or the given one differs from that of the title.
         """
         known = UNITS[quantity]
         plain = {plain_unit(name): name for name in known}
@@ -70,14 +70,14 @@ class Column(NamedTuple):
 
 
 def plain_unit(text: str) -> str:
-    """Return a unit as it compares with others: without signs of products, in small letters."""
+    """Return a unit in a form to compare: without signs of products, in lower case."""
     text = re.sub(r"[\s.*·⋅-]", "", text)
     return text.replace("°", "deg").replace("µ", "u").replace("μ", "u").lower()
 
 
 @contextmanager
 def naming_file(path: Path) -> Iterator[None]:
-    """Make errors of reading a file `LogError`s that name it."""
+    """Turn errors of reading a file into `LogError`s that name the file."""
     try:
         with naming_path(path, LogError):
             yield
@@ -88,15 +88,15 @@ def naming_file(path: Path) -> Iterator[None]:
 
 
 class CsvFile:
-    """A file of lines of cells, read line by line; its first line has the titles.
+    """A CSV file, read line by line; its first line has the titles.
 
     Attributes:
         columns: The columns.
-        cut_off: Whether the last line that was read ends early, as of a logger that was killed.
+        cut_off: Whether the last line that was read ends early, as after a kill of the logger.
 
     Raises:
         OSError: The file cannot be read.
-        UnicodeDecodeError: It is no text.
+        UnicodeDecodeError: It is not text in UTF-8.
         LogError: It is empty, or its first line is too long.
     """
 
@@ -114,10 +114,10 @@ class CsvFile:
             self.columns.append(Column(place, title, name, unit))
 
     def find(self, name: str) -> Column | None:
-        """Return the column of a name or title, in capitals or not, None if there is none.
+        """Return the column with a name or title, ignoring case; None if there is none.
 
         Raises:
-            LogError: There are several.
+            LogError: There are several such columns.
         """
         each = ((one, {one.name.lower(), one.title.lower()}) for one in self.columns)
         found = [one for one, own in each if name.lower() in own]
@@ -134,12 +134,12 @@ class CsvFile:
     def read(self, time: Column, columns: Sequence[Column]) -> tuple[list[int], Stamps, Array]:
         """Return line numbers, times [ns] and values of n lines, shape (n, columns).
 
-        Values are in the usual units, NaN of cells that are empty or a word for it.
+        Values are in the usual units, NaN for cells that are empty or have a word for nothing.
 
         Raises:
             OSError: The file cannot be read.
             LogError: A line or a cell is too long, has more cells than there are titles, or ends
-                early but is not the last; or a cell is not what is expected.
+                early but is not the last; or a cell is not a number, or not a time.
         """
         needed = 1 + max(one.place for one in (time, *columns))
         lines, stamps, values, rows = list[int](), array("q"), array("d"), self._rows()
@@ -175,7 +175,7 @@ class CsvFile:
             raise LogError(f"line {last + 1}: {error}") from error
 
     def _lines(self) -> Iterator[str]:
-        """Yield the lines; comments are empty ones."""
+        """Yield the lines; a comment becomes an empty line."""
         with self._path.open(encoding="utf-8-sig", newline="") as stream:
             lines = iter(lambda: stream.readline(MAX_LINE + 1), "")
             for number, line in enumerate(lines, 1):
@@ -204,7 +204,7 @@ class CsvFile:
                 fraction = int(match[1][:9].ljust(9, "0")) if match else 0
                 stamp = int(moment.timestamp()) * NANOSECONDS + fraction
             else:
-                # A double has no nanoseconds left at today's dates.
+                # A double cannot resolve nanoseconds at today's dates.
                 stamp = round(Decimal(self._pointed(text)) * int(time.factor))
         except (ValueError, ArithmeticError) as error:
             raise _misread(f"time in {time.unit}, or ISO 8601", line, cells, time) from error
@@ -213,7 +213,7 @@ class CsvFile:
         return stamp
 
     def _pointed(self, text: str) -> str:
-        """Return a number with a decimal point; commas that separate no cells are decimal ones."""
+        """Return a number with a decimal point; commas that separate no cells are decimal."""
         return text.strip() if self._delimiter == "," else text.strip().replace(",", ".")
 
 
@@ -225,7 +225,7 @@ def _misread(what: str, line: int, cells: Sequence[str], column: Column) -> LogE
 def read_torques(path: str | Path) -> tuple[Array, Array]:
     """Return rising times since the first one [s] and torques [N m] of a CSV file, shape (n,).
 
-    Its columns are called `time` and `torque`, as those of `tsobs excite`.
+    Its columns are called `time` and `torque`, as in the files of `tsobs excite`.
 
     Raises:
         LogError: The file cannot be read, lacks a column, or has a cell that is no finite number,

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorded observer ran: its designs and parameters, as far as a bag has them."""
+"""Designs and parameters of recorded observers, as far as a bag has them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,12 +20,12 @@ _MAX_RECORDS = 100
 
 @dataclass(frozen=True)
 class RecordedObserver:
-    """What the observer of a bag ran, as far as the bag has it.
+    """The designs and parameters of a bag's observer, as far as the bag has them.
 
     Attributes:
-        source: The topic that has it.
-        designs: Those of each joint, one after the other; there are several if it was restarted.
-        parameters: Those that decide estimates, by the node's names.
+        source: The topic that has them.
+        designs: The designs of each joint in order; several if the observer was restarted.
+        parameters: The parameters that decide the estimates, by their names at the node.
         measurements: Full name of the topic of its measurements.
         remarks: Notes for the user.
     """
@@ -37,7 +37,7 @@ class RecordedObserver:
     remarks: tuple[str, ...] = ()
 
     def doubt(self, given: Sequence[str]) -> list[str]:
-        """Return a warning if nothing shows what a recorded observer ran, and no file is given."""
+        """Return a warning if the bag has no design of its observer, and no file is given."""
         if self.designs or given:
             return []
         return [
@@ -46,7 +46,7 @@ class RecordedObserver:
         ]
 
     def settings(self) -> ObserverSettings:
-        """Return the settings that it ran with; the defaults as far as they are not recorded.
+        """Return the observer's settings, with defaults for those that are not recorded.
 
         Raises:
             BagReadError: A parameter is of the wrong type or out of range.
@@ -59,10 +59,10 @@ class RecordedObserver:
 
 
 def recorded_observers(reader: BagReader) -> dict[str, RecordedObserver]:
-    """Return what the observers of a bag ran, as far as it is there, by their full names.
+    """Return the designs and parameters of the observers of a bag, by the observers' full names.
 
     Raises:
-        BagReadError: A topic `design` has something else.
+        BagReadError: A topic `design` has other content.
     """
     end, found = f"/{topics.DESIGN}", dict[str, RecordedObserver]()
     for topic, info in reader.topics.items():

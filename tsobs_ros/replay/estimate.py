@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Observers over a recording, many in one pass, and a new bag of their estimates.
+"""Observers run over a recording, many in one pass, and a new bag of their estimates.
 
-The messages are those of the observer node, byte for byte; made a window at a time they cost a
-tenth of what they cost one by one.
+The messages are those of the observer node, byte for byte. Made a window at a time, they take a
+tenth of the time that they take one by one.
 """
 
 import os
@@ -66,7 +66,7 @@ def make_observers(
 ) -> list[Observer]:
     """Return an observer for each design of `choose_designs` and each method.
 
-    Their names have what distinguishes them.
+    A name has the design if there are several designs, and the method if there are several methods.
 
     Raises:
         ParameterError: There is no such method.
@@ -107,9 +107,9 @@ class Run:
         used: Number of measurements used, of all joints.
         rejected: Number of measurements not used, by reason.
         window: The last window, of n samples and m ticks.
-        rows: Its estimates of each joint, NaN where there is none, shape (m,).
+        rows: Its estimates of each joint, NaN if there is none, shape (m,).
         done: Whether there is an estimate of any joint, shape (m,).
-        innovations: Of each joint y − ŷ of the outputs that were used, else NaN, shape (n, p).
+        innovations: y − ŷ of each joint, NaN for outputs that were not used, shape (n, p).
     """
 
     window: Window
@@ -148,16 +148,16 @@ class Run:
             (Spool(np.dtype([*times, ("rows", one.row_type)])), SeriesSpool(one.shape.p))
             for one in (tracker.estimator for tracker in self.trackers if keep)
         ]
-        # Stamps of the last estimate, parameters and health that a node would have published.
+        # Stamps at which a node last published an estimate, and parameters and health.
         self._last, self._slow_since = 0, -topics.SLOW_PERIOD
-        # Stamps and log times of published health, its numbers, and whether a restart is in front.
+        # Stamps and log times of published health, its numbers, and whether a restart precedes it.
         self._slow: list[tuple[NDArray[Any], ...]] = []
         # Number of restarts, and of ticks since the last one.
         self._restarts = self._ticks = 0
         self._is_first, self._has_restarted = True, False
 
     def begin(self, writer: BagWriter, definition: MessageDefinition | None) -> None:
-        """Add its topics to a new bag, JointStates of a definition, and write what it runs."""
+        """Add its topics to a new bag, with JointState's definition, and write its `design`."""
         for name in self._encoder.topics:
             writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
         latched = QosProfile(durability="transient_local", depth=1)
@@ -172,7 +172,7 @@ class Run:
 
     @property
     def rewinds(self) -> int:
-        """Number of late measurements put in their place."""
+        """Number of late measurements that were inserted by a rewind."""
         return sum(tracker.rewinds for tracker in self.trackers)
 
     def run(self, window: Window, *, encode: bool) -> list[MessageSeries]:
@@ -192,7 +192,7 @@ class Run:
             estimates.add(np.rec.fromarrays(some, estimates.type))
             innovations.add(window.samples.stamps, window.samples.log_times, y)
         made: list[MessageSeries] = []
-        # Recorded messages of restarts are copied.
+        # Recorded messages of restarts were copied already.
         if (self._is_first or window.restarts) and not (live is not None and live.restarts):
             first = ticks[:1]
             restarts = [np.full((len(first), 1), float(self._restarts))] * len(self.trackers)
@@ -235,7 +235,7 @@ class Run:
         return np.hstack([part if part.ndim > 1 else part[:, np.newaxis] for part in parts])
 
     def _estimate(self) -> None:
-        """Make the estimates of the window, each joint on its own, and count."""
+        """Make the estimates of the window, each joint on its own, and update the counts."""
         samples, ticks, _ = self.window
         joints = range(len(self.trackers))
         with ThreadPoolExecutor(min(len(joints), os.cpu_count() or 1)) as pool:
@@ -243,7 +243,7 @@ class Run:
         done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated
         if self.windows.at_samples:
             done &= np.any([one.newest == ticks.stamps for one in results], axis=0)
-        # Stamps of what a node publishes rise up to a restart.
+        # The stamps that a node publishes rise until a restart.
         stamps = np.where(done, ticks.stamps, 0)
         before = np.maximum.accumulate(np.append(self._last, stamps))
         self._last, self.done = int(before[-1]), done & (stamps > before[:-1])
@@ -277,7 +277,7 @@ class Run:
         )
 
     def _due(self) -> NDArray[np.intp]:
-        """Return the ticks at which a node publishes what changes slowly."""
+        """Return the ticks at which a node publishes parameters and health."""
         due = []
         for place in np.flatnonzero(self.done).tolist():
             stamp = int(self.window.ticks.stamps[place])
@@ -289,7 +289,7 @@ class Run:
     def _messages(
         self, topic: str, rows: Any = slice(None), there: Flags | None = None
     ) -> list[MessageSeries]:
-        """Return the messages of a topic at some of the ticks, of the joints that are there."""
+        """Return the messages of a topic at some of the ticks, with the joints that are `there`."""
         each = [self.values(joint, *ESTIMATES[topic])[rows] for joint in range(len(self.rows))]
         for own, known in zip(each, there[:, rows] if there is not None else (), strict=False):
             own[~known] = np.nan
@@ -302,7 +302,7 @@ class Run:
         logged = done | (counts > 0)
         numbers = self._ticks + np.cumsum(logged)
         self._ticks = int(numbers[-1]) if len(numbers) else self._ticks
-        # Without an estimate there is no stamp, and the clock decides what is from the future.
+        # Without an estimate, the clock's time is logged: it decides which stamps are too new.
         stamps = np.where(done, ticks.stamps, ticks.now)
         found = []
         for count in np.unique(counts[logged]).tolist():
@@ -315,7 +315,7 @@ class Run:
         return found
 
     def outputs(self) -> dict[str, dict[str, dict[str, int]]]:
-        """Return how often each output was gated and missing, of joints that have several."""
+        """Return how often each output was gated and missing, for joints with several."""
         each = zip(self._source.joints, self.observer.designs, self._outputs, strict=True)
         return {
             joint: {
@@ -327,7 +327,7 @@ class Run:
         }
 
     def warnings(self) -> list[str]:
-        """Return what the node would have warned of: measurements at another rate."""
+        """Return the warnings that the node would have logged: measurements at another rate."""
         found, samples = [], self._source.samples
         each = zip(self._source.joints, self.observer.designs, strict=True)
         for joint, (name, design) in enumerate(each):
@@ -338,7 +338,7 @@ class Run:
 
     @cached_property
     def events(self) -> list[JointEvent]:
-        """What the node would have logged, known after the last window."""
+        """The events that the node would have logged, known after the last window."""
         found = list[JointEvent]()
         for joint, (health, restarted) in self._healths.items():
             found += find_events(
@@ -373,7 +373,7 @@ class Run:
 
 
 def is_log(path: Path) -> bool:
-    """Return whether a path is of a file that is none of a bag's.
+    """Return whether a path is that of a file that does not belong to a bag.
 
     Raises:
         LogError: The file cannot be read.
@@ -394,10 +394,10 @@ def open_source(
     assume_zero_torque: bool | None = None,
     held_out: str | None = None,
 ) -> BagSource:
-    """Open a bag, or a log if it is a file that is none of a bag's; options as for their classes.
+    """Open a log if `is_log`, else a bag; the options are those of `LogSource` and `BagSource`.
 
     Raises:
-        BagReadError: The bag cannot be read, or does not have the measurements.
+        BagReadError: The bag cannot be read, or lacks the measurements.
         LogError: The log cannot be read.
     """
     path, zero = Path(path), assume_zero_torque
@@ -420,16 +420,16 @@ def run_observers(
     estimates_only: bool = False,
     progress: Callable[[int], None] = lambda _: None,
 ) -> list[Run]:
-    """Run observers over the same measurements, and write their messages into a new bag, if any.
+    """Run observers over the same measurements; write their messages to a new bag, if one is given.
 
-    `rate`, `as_live` and `window` are those of `Windows`. Runs `keep` their estimates in temporary
-    files. `estimates_only` leaves out the measurements, and the truth of a simulation. `progress`
-    is called with the number of measurements that the observers have taken since.
+    `rate`, `as_live` and `window` are those of `Windows`. If `keep`, runs keep their estimates in
+    temporary files. `estimates_only` leaves out the measurements, and the truth of a simulation.
+    `progress` is called with the number of measurements that observers took since its last call.
 
     Raises:
-        BagReadError: The bag does not have what the designs measure.
-        LogError: The log does not.
-        ModelError: The designs do not measure the same.
+        BagReadError: The bag lacks signals that the designs measure.
+        LogError: The log lacks such signals.
+        ModelError: The designs measure different signals.
         BagWriteError: The folder exists, or the bag cannot be written.
     """
     for observer in observers:
@@ -446,7 +446,7 @@ def run_observers(
             recorded = () if estimates_only else source.topics
             writer.add_topics(recorded)
             known = source.reader.topics[source.topic].definition
-            # Before all copies, so that designs come first among the messages of their time.
+            # Before any copy, so that designs come first among the messages of equal log times.
             for run in runs:
                 run.begin(writer, known)
             try:

@@ -18,14 +18,14 @@ from tsobs_ros.series import NANOSECONDS, Series
 C = TypeVar("C", bound=IntEnum)
 
 BASIS, CLAIMED, HYPOTHESIS = map(CONDITIONS.index, ("basis", "claimed", "hypothesis"))
-"""Places of conditions' numbers."""
+"""Places of these numbers in `CONDITIONS`."""
 
 PROVED = (Basis.CERTIFIED, Basis.LEARNT)
-"""What bounds rest on that are proved, of learnt parameters but for what is uncertain of them."""
+"""Bases of proved bounds; a `LEARNT` bound is proved except for the parameters' uncertainty."""
 _WRONG = (Basis.CONTRADICTED, Basis.HYPOTHESIS, Basis.OUTSIDE)
 _OF_SENSOR = (Hypothesis.LOUD, Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT, Hypothesis.TONE)
-# Of simulated arms: at most .05 of the time if the design is theirs, at least .4 with another arm,
-# a torque of another sign or ten times as large; angles in degrees are noise of 47 times.
+# Share of wrong bases in simulations: at most .05 if the design fits, at least .4 with another arm,
+# or a torque of another sign or ten times as large. Angles in degrees have a noise scale of 47.
 _OFTEN, _OTHER_UNIT = 0.3, 20.0
 
 _MAX_EVENTS, _MAX_LINES = 200, 20
@@ -56,7 +56,7 @@ def map_events(events: Sequence[JointEvent], begin: int) -> dict[str, Any]:
 
 
 def list_events(events: Sequence[JointEvent], begin: int) -> list[str]:
-    """Return the same for a terminal, fewer of them, and nothing if there are none."""
+    """Return lines of events for a terminal, fewer than `map_events`; none without events."""
     mapped = map_events(events, begin)
     shown = mapped["events"]
     lines = [
@@ -69,16 +69,16 @@ def list_events(events: Sequence[JointEvent], begin: int) -> list[str]:
 
 
 class Health(NamedTuple):
-    """The health of a joint's estimates, summed up.
+    """A summary of the health of a joint's estimates.
 
     Attributes:
         noise_scale: Median of the noise's scale.
-        max_noise_scale: Largest one.
+        max_noise_scale: Largest scale of the noise.
         claimed: Share of the estimates whose bounds are claimed to hold.
-        bases: Shares of the estimates by what their bounds rest on, without those that are zero.
-        hypotheses: Shares by what arm and sensor are taken for, likewise.
-        learning: What the learning does at the end.
-        hypothesis: What arm and sensor are taken for at the end.
+        bases: Shares of the estimates by the basis of their bounds, without zeros.
+        hypotheses: Shares of the estimates by the hypothesis on arm and sensor, without zeros.
+        learning: State of the learning at the end.
+        hypothesis: Hypothesis on arm and sensor at the end.
     """
 
     noise_scale: float
@@ -91,12 +91,12 @@ class Health(NamedTuple):
 
     @property
     def proved(self) -> float:
-        """Share of the estimates with a bound of `PROVED`."""
+        """Share of the estimates whose bound has a basis in `PROVED`."""
         return sum(self.bases.get(basis, 0.0) for basis in PROVED)
 
     @property
     def misfit(self) -> str | None:
-        """What does not fit the design, and its likely cause, in a sentence; None if all does."""
+        """The misfit of measurements and design, and its likely cause, in a sentence; else None."""
         wrong = sum(self.bases.get(basis, 0.0) for basis in _WRONG)
         often = f"for {100.0 * wrong:.0f} % of the time the measurements do not fit the design"
         if wrong >= _OFTEN and self.noise_scale >= _OTHER_UNIT:
@@ -110,7 +110,7 @@ class Health(NamedTuple):
             return None
         shares = {one: share for one, share in self.hypotheses.items() if one}
         likeliest = max(shares, key=shares.__getitem__, default=Hypothesis.AS_DESIGNED)
-        # A cause under which little can be claimed is none.
+        # A hypothesis about the sensor is no cause if most of these bounds are void all the same.
         if likeliest in _OF_SENSOR and self.bases.get(Basis.CONTRADICTED, 0.0) <= 0.5 * wrong:
             return f"{often}: {likeliest.judged[1]}"
         return (
@@ -119,7 +119,7 @@ class Health(NamedTuple):
         )
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return it as plain data."""
+        """Return the summary as plain data."""
         return {
             "misfit": self.misfit,
             "noise_scale": {"median": self.noise_scale, "max": self.max_noise_scale},
@@ -133,7 +133,7 @@ class Health(NamedTuple):
         }
 
     def lines(self) -> tuple[str, ...]:
-        """Return it for a terminal."""
+        """Return the summary as lines for a terminal."""
         return (
             f"noise {self.noise_scale:.2f} times the design's, at most {self.max_noise_scale:.2f}",
             f"bounds {_shares(self.bases)}; claimed to hold {100.0 * self.claimed:.3g} %",
@@ -148,7 +148,7 @@ def _shares(parts: Mapping[Any, float]) -> str:
 
 
 def health_of(conditions: Array) -> Health | None:
-    """Return the health of conditions' numbers, NaN without an estimate; None of none."""
+    """Return the health from rows of `CONDITIONS`, NaN without an estimate; None if all are NaN."""
     known = conditions[~np.isnan(conditions[:, 0])]
     if not len(known):
         return None
@@ -180,8 +180,8 @@ def find_events(
 ) -> list[JointEvent]:
     """Return the events that a node would have logged, in the order of their log times.
 
-    Health is numbers of conditions, NaN without an estimate, with log times. The observer may have
-    been restarted before some of them; stamps and log times may be of the same clock.
+    `health` has rows of `CONDITIONS`, NaN without an estimate, with log times. `restarted` marks
+    rows that follow a restart. `same_clock` is true if stamps and log times are of one clock.
     """
     log, found = EventLog(source, COAST_AFTER, stale_after), list[JointEvent]()
     restarted = np.zeros(len(health.stamps), bool) if restarted is None else restarted

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Measurements from a log of one's own, a CSV file of time, outputs and inputs, as a bag."""
+"""Measurements from a user's log, a CSV file of time, outputs and inputs, as a bag."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -33,15 +33,15 @@ _NAMES: Mapping[str, tuple[str, ...]] = {
     "velocity": ("velocity", "dq"),
     "torque": ("torque", "effort", "tau"),
 }
-"""Usual names of columns by quantity; of a joint with `.JOINT` behind them."""
+"""Usual names of columns by quantity; `.JOINT` behind them names a joint."""
 _FIELDS: Mapping[str, Field] = {"angle": "position", "velocity": "velocity", "torque": "effort"}
 _KINDS = {field: kind for kind, field in _FIELDS.items()}
 
 
 class _Signal(NamedTuple):
-    """A number to read: what it is in errors, possible titles, its joint, and where it goes.
+    """A number to read: its name in errors, possible titles, its joint, and its place in the bag.
 
-    Of an arm's number there is the quantity, of a T-S system's the unit.
+    A number of an arm has a quantity, a number of a T-S system has a unit.
     """
 
     label: str
@@ -58,17 +58,17 @@ _TIME = _Signal("time", _NAMES["time"], "time", "", "", Place("", "position"))
 class LogSource(BagSource):
     """A CSV log as a source of measurements: its lines become a temporary bag.
 
-    Cells that are empty or NaN are measurements that will be rejected, and counted. A log whose
-    times begin at zero or before is moved, so that it begins at 1 s: a stamp of zero means none.
+    Empty or NaN cells are measurements that will be rejected, and counted. If the times of a log
+    begin at zero or before, they are moved to begin at 1 s, as a stamp of zero means no time.
 
     Args:
         path: The file.
         columns: Names of columns by their usual ones: `time`, `torque`, `angle` or `velocity`, or
             the name of an output or input; for several joints `angle.JOINT` and so on.
         units: Units by quantity, for columns whose title has none.
-        joints: All of them if empty. One name renames the joint of columns that name none.
+        joints: All joints if empty. A single name renames the joint of columns that name no joint.
         assume_zero_torque: Take torque as 0 if there is no such column.
-        held_out: Sensor that no observer gets, with its column: `link_angle=COLUMN`.
+        held_out: Sensor that is kept from all observers, with its column: `link_angle=COLUMN`.
 
     Raises:
         LogError: The file cannot be read, lacks a column, or has a cell that is not a number; the
@@ -91,7 +91,7 @@ class LogSource(BagSource):
         self._given, self._units = dict(columns or {}), dict(units or {})
         with naming_file(path):
             self._file = CsvFile(path)
-        # Those that options name, else those of columns such as `angle.JOINT`.
+        # The joints that options name, else those of columns such as `angle.JOINT`.
         titles = (one.name.partition(".") for one in self._file.columns)
         measured = (*_NAMES["angle"], *_NAMES["velocity"], "link_angle", "motor_angle")
         found = [key.partition(".")[2] for key in self._given if "." in key]
@@ -107,7 +107,7 @@ class LogSource(BagSource):
         super()._read()
 
     def _choose(self) -> tuple[Column, list[tuple[Place, Column]]]:
-        """Return the columns of the time and of all that is read, with their places in the bag."""
+        """Return the time's column, and the other columns to read with their places in the bag."""
         sensor, _, place = (self.held_out or "").partition("=")
         self._given |= {sensor: place} if place else {}
         signals = [_TIME]
@@ -140,13 +140,13 @@ class LogSource(BagSource):
         return found.pop(_TIME), [(one.place, column) for one, column in found.items()]
 
     def _signals(self, joint: int, sensor: str) -> Iterator[_Signal]:
-        """Yield what a joint's design measures, its torque at the places that it may have.
+        """Yield the signals of a joint's design, its torque once for each place that it may have.
 
-        Behind it comes what a sensor measures that is held out.
+        The signal of a held-out sensor comes last.
         """
         own, request, name = self.signals[joint], self.requests[joint], self.joints[joint]
         if isinstance(request, ArmRequest):
-            # With a held-out sensor the only encoder may be in an entry of its side's name.
+            # With a held-out sensor, the entry of the only encoder may have the name of its side.
             entries = [place.name for place in request.signals(name, self.alone).outputs]
             outputs = zip(request.output_names, own.outputs, entries, strict=True)
             torques = [("torque", one, one.name) for one in (*own.inputs, *own.other_inputs)]
@@ -176,7 +176,7 @@ class LogSource(BagSource):
         )
 
     def _column(self, one: _Signal) -> Column | None:
-        """Return a signal's column with its unit: one that is given, else by its title."""
+        """Return a signal's column with its unit: a given one, else the one with its title."""
         for title in sorted(one.titles, key=lambda title: title not in self._given):
             name = self._given.get(title, title)
             column = self._file.find(name)
@@ -186,7 +186,7 @@ class LogSource(BagSource):
                 continue
             if one.quantity:
                 return column.in_units_of(one.quantity, self._units.get(one.quantity, ""))
-            # An exported JointState's units are those of a joint.
+            # An exported JointState has units of a joint, also for the signals of a system.
             known = column.unit and one.unit and not column.name.startswith("position.")
             if known and plain_unit(column.unit) != plain_unit(one.unit):
                 raise LogError(f"column {column.title!r}: {one.label} is in {one.unit!r}")
@@ -209,7 +209,7 @@ class LogSource(BagSource):
         with BagWriter(bag) as writer:
             writer.add_topic(self.topic, JOINT_STATE, [QosProfile(reliability="best_effort")])
             for begin, end in passes(stamps):
-                # Log times rise from line to line: time that has gone back goes on after what was.
+                # Log times rise from line to line: if time goes back, they go on from the last one.
                 shift = last + _AFTER_RESTART - int(stamps[begin]) if begin else 0
                 for place in range(begin, end, _BLOCK):
                     part = slice(place, min(place + _BLOCK, end))

@@ -49,8 +49,8 @@ def places_of(
 ) -> Places:
     """Return the places of a joint's numbers, those of an estimate in the order of `ESTIMATES`.
 
-    The joint may be alone with its observer; some of its parameters are learnt by name, and its
-    disturbances may be rated, that is, have rates.
+    `alone` means that its observer has no other joint, `learnt` names the learnt parameters, and
+    `rated` means that disturbances have rates.
     """
     channels = positions(signals.disturbances)
     rates = (Place(name, "velocity") for name in signals.disturbances if rated)
@@ -72,12 +72,12 @@ def places_of(
 
 
 class Layout:
-    """The entries of messages made of columns of numbers, each with its place."""
+    """The layout of messages that are made of columns of numbers, each column with its place."""
 
     def __init__(self, places: Sequence[Place]) -> None:
         names = list(dict.fromkeys(place.name for place in places))
         columns = {place: column for column, place in enumerate(places)}
-        # The columns of all entries, -1 for one without a place, of each field that has any.
+        # Per field, the column of each entry, -1 if it has none; empty for a field without columns.
         self._columns = [
             [columns.get(Place(name, field), -1) for name in names] if field in used else []
             for used in [{place.field for place in places}]
@@ -86,25 +86,25 @@ class Layout:
         self._encoder = JointStateEncoder(names)
 
     def encode_one(self, stamp: int, values: Sequence[float]) -> bytes:
-        """Return one message as `encode` does, which costs more, of a stamp [ns]."""
+        """Return one message with a stamp [ns], in less time than `encode`."""
         numbers = [*values, math.nan]
         return self._encoder(stamp, *[[numbers[place] for place in own] for own in self._columns])
 
     def encode(self, stamps: Stamps, values: Array) -> NDArray[np.uint8]:
-        """Return messages, a row each; fields in which no column has a place are empty.
+        """Return messages, one per row; fields in which no column has a place are empty.
 
         Stamps [ns] have the shape (m,), values (m, k) in the order of the places, NaN for none.
         """
-        # One more column, for entries without a place.
+        # One more column, of NaN, for entries without a place.
         numbers = np.append(values, np.full((len(values), 1), np.nan), axis=1)
         return self._encoder.encode_rows(stamps, *(numbers[:, own] for own in self._columns))
 
 
 class Layouts:
-    """The layouts of messages of any of some parts, such as joints.
+    """The layouts of messages with any selection of parts, such as joints.
 
-    `parts` are the places of each part's numbers; of two in the same place the later one counts.
-    `of` returns the layout of some parts by their index, each with how many of its numbers.
+    `parts` has the places of each part's numbers; if two share a place, the later one counts. `of`
+    returns the layout of selected parts, each given by its index and the count of its numbers.
     """
 
     def __init__(self, parts: Sequence[Sequence[Place]]) -> None:
@@ -115,9 +115,9 @@ class Layouts:
 
 
 def parts_of(topic: str, joints: Sequence[Places]) -> list[Sequence[Place]]:
-    """Return the places of what a topic's messages have or lack as a whole.
+    """Return the places of each part, which a topic's messages have or lack as a whole.
 
-    That is a joint, of innovations an output.
+    A part is a joint; in innovations, it is an output.
     """
     if topic == topics.INNOVATION:
         return [[place] for one in joints for place in one[topic]]
@@ -127,7 +127,7 @@ def parts_of(topic: str, joints: Sequence[Places]) -> list[Sequence[Place]]:
 class EstimateEncoder:
     """Makes the messages of one observer from arrays, byte for byte those of the node.
 
-    `topics` are their full names.
+    `topics` has the full names of their topics.
     """
 
     def __init__(self, prefix: str, joints: Sequence[Places]) -> None:
@@ -141,9 +141,9 @@ class EstimateEncoder:
     def messages(self, topic: str, at: Any, values: Sequence[Array]) -> list[MessageSeries]:
         """Return the messages of a topic, as far as there are values for them.
 
-        `at` has the `stamps`, `log_times` and `publish_times` of m messages [ns]. Values are each
-        joint's in the order of `places_of`, NaN for none, shape (m, width); a joint without any may
-        have fewer. A part's first number decides on all of it.
+        `at` has the `stamps`, `log_times` and `publish_times` of m messages [ns]. `values` has an
+        array per joint in the order of `places_of`, NaN for none, shape (m, width), or with fewer
+        columns for a joint without values. A part is left out if its first number is not finite.
         """
         if topic not in self._layouts:
             return []
@@ -154,7 +154,7 @@ class EstimateEncoder:
             numbers[:, end - width : end - width + count] = given[:, :count]
         sizes = [len(part) for part in layouts.parts]
         there = np.isfinite(numbers[:, np.cumsum([0, *sizes])[:-1]])
-        # Mostly there is all, which takes less time to see.
+        # Mostly no part is missing, and a check for that takes less time.
         for pattern in there[:1] if there.all() else np.unique(there, axis=0):
             if pattern.any():
                 rows = np.flatnonzero((there == pattern).all(axis=1))

@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of joints in JointStates, of a node or of a bag: outputs, inputs, what is refused.
+"""Samples of joints in JointStates, for a node or from a bag: outputs, inputs and rejections.
 
-They are read from the bytes on the wire: rclpy's message objects would cost more than the whole
-estimation.
+They are read from the bytes on the wire: rclpy's message objects would take more time than the
+whole estimation.
 """
 
 import math
@@ -29,22 +29,22 @@ NOT_NAMED = -1
 """Code of a joint that a message does not name."""
 WRONG, MISSING = map(int, (RejectReason.WRONG_JOINT, RejectReason.MISSING_INPUT))
 
-# What follows a message's numbers, so that each number of a row has a place, and its places.
+# Constants behind a message's numbers, for numbers of a row that it lacks; their places.
 _CONSTANTS = (math.nan, 0.0)
 _NOTHING, _ZERO = -2, -1
-# Of messages, whose names anybody may choose.
+# A limit, because any publisher may choose the names in messages.
 _MAX_LAYOUTS = 256
 
 
 class Batch(NamedTuple):
-    """Messages in the order of their stamps, N of them, with samples of k joints.
+    """N messages, in the order of their stamps or as recorded, with samples of k joints.
 
     Attributes:
-        order: Their places among those that were read.
-        stamps: [ns]; 0 of a message that cannot be read; shape (N,).
-        y: Measured outputs of each joint, NaN if there is none, k of shape (N, p).
-        u: Inputs of each joint, NaN if there is none, k of shape (N, m).
-        codes: `USED` of samples, else the code of the rejection or `NOT_NAMED`, shape (k, N).
+        order: Their places among the messages that were read.
+        stamps: [ns], 0 for a message that cannot be read, shape (N,).
+        y: Measured outputs of each joint, NaN if there is none, k arrays of shape (N, p).
+        u: Inputs of each joint, NaN if there is none, k arrays of shape (N, m).
+        codes: `USED` for samples, else the code of the rejection or `NOT_NAMED`, shape (k, N).
     """
 
     order: Sequence[int]
@@ -57,7 +57,7 @@ class Batch(NamedTuple):
 class MeasurementReader:
     """Finds the samples of the node's joints in messages of any joints, in any order.
 
-    A sample has an output at least, and all inputs.
+    A sample has at least one output, and all inputs.
     """
 
     def __init__(self, joints: Mapping[str, Signals], assume_zero_torque: bool) -> None:
@@ -66,7 +66,7 @@ class MeasurementReader:
         self._decode = JointStateDecoder()
         # Messages hardly ever change their names and lengths.
         self._layout = lru_cache(_MAX_LAYOUTS)(self._find)
-        # Where the outputs, inputs and other inputs of the joints are in a row.
+        # The places of each joint's outputs, inputs and other inputs in a row.
         self._parts: list[list[slice]] = []
         end = 0
         for each in joints.values():
@@ -75,7 +75,7 @@ class MeasurementReader:
             self._parts.append([slice(*pair) for pair in pairwise(ends)])
             end = ends[-1]
         self._unreadable = [math.nan] * end, (WRONG,) * len(joints)
-        self._found = set[int]()  # the places in a row of which a message has had a number
+        self._found = set[int]()  # places in a row for which any message had a number
 
     def read(self, messages: Sequence[bytes]) -> Batch:
         """Return the samples in messages, in the order of the messages' stamps.
@@ -105,7 +105,7 @@ class MeasurementReader:
         return Batch(range(count), stamps, y, u, codes)
 
     def found(self) -> list[list[bool]]:
-        """Return whether messages have had each output of each joint, be it NaN."""
+        """Return for each output of each joint whether any message has had it, even as NaN."""
         return [
             [place in self._found for place in range(outputs.start, outputs.stop)]
             for outputs, _, _ in self._parts
@@ -134,7 +134,7 @@ class MeasurementReader:
         return stamp, [numbers[place] for place in picked], codes
 
     def describe(self, data: bytes, joint: str) -> str:
-        """Return what a message contains of a joint, for the log line of its rejection."""
+        """Return a message's numbers of a joint as text, for the log line of its rejection."""
         try:
             message = self._decode(data)
         except MessageError as error:
@@ -150,9 +150,9 @@ class MeasurementReader:
     def _find(
         self, names: tuple[str, ...], positions: int, velocities: int, efforts: int
     ) -> tuple[list[int], tuple[int, ...]]:
-        """Return the places of a row in the numbers of messages with these names and lengths.
+        """Return where messages with these names and lengths have the numbers of a row, and codes.
 
-        The codes of the joints are those of `Batch`. Of a name that comes twice the first counts.
+        The codes of the joints are those of `Batch`. If a name comes twice, the first one counts.
         """
         found = {name: place for place, name in reversed(list(enumerate(names)))}
         parts = {

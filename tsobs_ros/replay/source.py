@@ -33,9 +33,9 @@ UNNAMED_SYSTEM = "system"
 """Name of a T–S system that a recording does not name."""
 
 _OBSERVER = "/observer"
-# Stamps this far back are not late any more: time restarted (a looped bag, a new simulation).
+# Stamps that go back this far are not just late: time restarted (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
-# So many messages in a row must lie back: one straggler is no restart.
+# This many messages in a row must lie back, because one straggler is no restart.
 _RESTART_MESSAGES = 10
 _SAME_CLOCK = NANOSECONDS
 _FIRST_MESSAGES = 1000
@@ -48,12 +48,12 @@ Records: TypeAlias = Any
 
 
 def passes(stamps: Stamps) -> list[tuple[int, int]]:
-    """Return the begin and end of each pass of time, as of stamps [ns] in order of arrival.
+    """Return the begin and end of each pass of time, from stamps [ns] in order of arrival.
 
-    Before a further pass they go back by more than a second, and stay back.
+    A new pass begins if stamps go back by more than a second, and stay back.
     """
     begins = [0]
-    # They hardly ever go back.
+    # Stamps hardly ever go back.
     known = stamps.tolist() if (np.diff(stamps) < -_RESTART).any() else []
     highest = 0
     for place, stamp in enumerate(known):
@@ -68,36 +68,36 @@ def passes(stamps: Stamps) -> list[tuple[int, int]]:
 class BagSource:
     """Measurements of some joints in a bag.
 
-    What is read depends on the designs: `observe` comes before `signals` and `samples`.
+    The designs decide what is read, so that `signals` and `samples` exist only after `observe`.
 
     Args:
         path: The bag's folder, or one MCAP file.
         topic: Full name of the measurements' topic; by default the only one that ends in
             `joint_measurements`, or the one that the live observer used.
-        joints: By default those that the live observer observed and the first messages have, else
-            those of the first messages.
-        assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
-        held_out: Sensor that no observer gets: one of `QUANTITIES`, which may have a place
-            behind it, as in `link_angle=/TOPIC`, `=/TOPIC:ENTRY` or `=:ENTRY`.
+        joints: By default the live observer's joints that the first messages have, else all joints
+            of the first messages.
+        assume_zero_torque: Take a missing effort as torque 0; None: as the live observer did.
+        held_out: Sensor that is kept from all observers: one of `QUANTITIES`, optionally with a
+            place, as in `link_angle=/TOPIC`, `=/TOPIC:ENTRY` or `=:ENTRY`.
 
     Attributes:
         reader: The bag.
         signals: The places of each joint's signals.
         samples: The measurements in the order of recording, one record per message, in a temporary
-            file: stamps and log times [ns], `y` and `u` as of `Batch` for all joints, 0 for an
-            input that a joint does not have, `codes` of `Batch`, CRC-32 as `checksums`.
-        ran: What the observer ran that was recorded.
+            file: stamps and log times [ns], `y`, `u` and `codes` of `Batch` for all joints, 0 for
+            an input that a joint does not have, and CRC-32 of the messages as `checksums`.
+        ran: The designs and parameters of the recorded observer.
         same_clock: Whether stamps and log times seem to be of the same clock.
-        namespace: Begin of the topics' names: empty, or with a slash at its front only.
-        was_observed: Whether there is output of an observer that ran during the recording.
-        tick_log: Full name of the topic with its ticks, empty if there are none.
-        truth: Full names of the simulator's topics that there are, by those of `TRUTH`.
+        namespace: Prefix of the topics' names: empty, or with a slash at its front only.
+        was_observed: Whether the bag has output of an observer that ran during the recording.
+        tick_log: Full name of the topic with this observer's ticks, empty if there is none.
+        truth: Full names of the simulator's topics in the bag, by their names in `TRUTH`.
         damage: The error that ended reading early.
         remarks: Notes for the user.
-        guessed: Whether the joints are those of the first messages, for want of anything better.
-        requests: Those of the designs, after `observe`.
-        both_sides: Whether arms have encoders on both sides, although a design may measure one.
-        held_out_columns: Titles of each joint's held-out sensor in a log.
+        guessed: Whether the joints are those of the first messages, as nothing else names them.
+        requests: The requests of the designs, after `observe`.
+        both_sides: Whether arms have encoders on both sides, although a design may use one only.
+        held_out_columns: Title of the held-out sensor's column of each joint, in a log.
 
     Raises:
         BagReadError: There is no bag, no such topic, or several topics fit.
@@ -154,7 +154,7 @@ class BagSource:
         self._alone = len(self.ran.designs) <= 1 and not any(
             name.startswith(f"{joint}/") for joint in self.joints for name in first
         )
-        # Without a place it is the other one of a joint's two encoders.
+        # Without a place, the held-out sensor is the other one of a joint's two encoders.
         self.both_sides = held_out in QUANTITIES and any(
             topics.sides(one)[1] in first for one in self.joints
         )
@@ -169,12 +169,12 @@ class BagSource:
         self.truth = self.there("/", topics.TRUTH)
 
     def observe(self, requests: Sequence[AnyRequest]) -> None:
-        """Read what the designs of the joints need.
+        """Read the data that the designs of the joints need.
 
         Raises:
             BagReadError: The bag does not have the measurements.
-            LogError: The log does not.
-            ModelError: What other designs measure is read already, or a sensor cannot be held out.
+            LogError: The log does not have them.
+            ModelError: Other signals were read already, or a sensor cannot be held out.
         """
         if not self.requests:
             self._check_held_out(requests)
@@ -213,22 +213,22 @@ class BagSource:
 
     @property
     def span(self) -> tuple[int, int]:
-        """Smallest and largest log time of them, ns since the epoch."""
+        """Smallest and largest log time of the measurements, ns since the epoch."""
         return int(self.samples.log_times.min()), int(self.samples.log_times.max())
 
     def choose_designs(
         self, given: Sequence[str] = (), *, others_allowed: bool = False
     ) -> dict[str, tuple[Design, ...]]:
-        """Return the designs to estimate with by the names of their files, each with one per joint.
+        """Return the designs to estimate with: for the name of each file, one design per joint.
 
         Args:
             given: Files that the user names, each for all joints, or `JOINT=FILE` for one of them;
-                if empty, those that the observer ran, else the one that is shipped.
-            others_allowed: Whether the files that are given may be others than those that it ran.
+                if empty, the designs of the recorded observer, else the shipped design.
+            others_allowed: Whether given files may differ from the recorded observer's designs.
 
         Raises:
             DesignFileError: A file is no design, or not the one that the observer ran.
-            BagReadError: The bag's own design is none.
+            BagReadError: The design in the bag is not valid.
         """
         own = dict(argument.split("=", 1) for argument in given if "=" in argument)
         shared = [argument for argument in given if "=" not in argument]
@@ -284,7 +284,7 @@ class BagSource:
         return found
 
     def take_for_system(self, requests: Sequence[AnyRequest]) -> bool:
-        """Return whether there is one T–S system instead of joints, which nothing in it names."""
+        """Return whether the source is one unnamed T–S system, and if so, take it as such."""
         systems = self.guessed and all(isinstance(one, TSRequest) for one in requests)
         if systems:
             self.joints, self.guessed = (UNNAMED_SYSTEM,), False
@@ -311,7 +311,7 @@ class BagSource:
         self.damage = error
 
     def there(self, prefix: str, names: Iterable[str]) -> dict[str, str]:
-        """Return the full names of those JointStates in the namespace that the bag has."""
+        """Return the full names of the JointStates of these names that the namespace has."""
         full = {name: f"{self.namespace}{prefix}{name}" for name in names}
         there = {name for name, topic in self.reader.topics.items() if topic.type == JOINT_STATE}
         return {key: name for key, name in full.items() if name in there}
@@ -362,11 +362,11 @@ class BagSource:
         self._require_outputs(read.found())
         apart = self.samples.log_times - self.samples.stamps
         off = max((apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum())
-        self.same_clock = bool(2 * off < self.count)  # as of the median of the differences
+        self.same_clock = bool(2 * off < self.count)  # decided by the median of the differences
         self.remarks += tuple(self._notes(without_input))
 
     def _require_outputs(self, there: Sequence[Sequence[bool]]) -> None:
-        """Raise `BagReadError` if no message has some output, which none lacks by chance."""
+        """Raise `BagReadError`, or note a warning, if some output is missing in all messages."""
         lacking, seen = list[str](), list[str]()
         each = zip(self.joints, self.requests, self.signals, there, strict=True)
         for joint, request, own, known in each:
@@ -380,7 +380,7 @@ class BagSource:
             others = [name for name in self._first_names() if name not in entries]
             has = ", ".join([*seen, *others[:_MAX_OTHERS]]) or "none"
             raise BagReadError(f"{self.path}: {text}, which the design measures; it has: {has}")
-        # The live observer went on with the others.
+        # The live observer continued with the other outputs.
         self.remarks += (f"warning: {text}",)
 
     def _notes(self, without_input: int) -> Iterator[str]:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer's loop without its clock: windows of samples, and of ticks that take them.
 
-The ticks are those of the recorded observer, as its tick log has them, or one for each measurement
-in the order of recording, or at a fixed rate. Estimates are compared with what it sent.
+The ticks are those of the recorded observer's tick log; or there is one tick per measurement in the
+order of recording; or they have a fixed rate. Estimates are compared with those that were recorded.
 """
 
 import math
@@ -64,12 +64,12 @@ class Agreement:
 
     Attributes:
         recorded: Number of recorded estimates.
-        reproduced: Number of those that are the same to the last bit, bounds included.
-        first_difference: Stamp of the first that is not [ns], None if all are.
+        reproduced: Number of recorded estimates reproduced to the last bit, bounds included.
+        first_difference: Stamp of the first one that is not reproduced [ns], None if all are.
         not_recorded: Number of measurements that the live observer used but the bag lacks.
-        not_received: Number of those in the bag that did not reach the live observer.
+        not_received: Number of measurements in the bag that did not reach the live observer.
         lost_ticks: Number of ticks that the tick log lacks.
-        ran_before: Whether it had run before the recording of it began.
+        ran_before: Whether the live observer had run before its recording began.
     """
 
     recorded: int = 0
@@ -81,7 +81,7 @@ class Agreement:
     ran_before: bool = False
 
     def text(self) -> str:
-        """Return one line for people, with the reason of any difference."""
+        """Return one line for people, with the reason for any difference."""
         line = (
             f"live estimates: {self.reproduced:,} of {self.recorded:,} reproduced to the last bit"
         )
@@ -102,11 +102,11 @@ class Agreement:
 
 
 class LiveRun:
-    """What the observer that ran during a recording sent, which has its tick log.
+    """The messages of the observer that ran during a recording, which has its tick log.
 
     Attributes:
         ticks: Its ticks in the order of recording; `counts` has the numbers of their measurements.
-        used: Places of their measurements in the bag, in the order of use.
+        used: Places of their measurements among those of the bag, in the order of use.
         restarts: Its messages of restarts.
     """
 
@@ -147,9 +147,9 @@ class LiveRun:
         self.ticks.counts = np.diff(before)
 
     def compare(self, made: Integers) -> Agreement:
-        """Return the comparison with other messages, whose digests are given."""
+        """Return the comparison with the replay's messages, whose digests are given."""
         recorded = self._estimates.read()
-        # An estimate counts by its states, and is the same if all messages of its stamp are.
+        # Messages of states count as estimates; one is reproduced if all of its stamp are.
         differing = recorded.stamps[~np.isin(recorded.digests, made)]
         stamps = recorded.stamps[recorded.counts]
         wrong = stamps[np.isin(stamps, differing)]
@@ -165,9 +165,9 @@ class Window(NamedTuple):
     """A part of a recording.
 
     Attributes:
-        samples: Measurements in the order of use, as those of a source.
-        ticks: Which samples are taken when, of all that are used; records of `_TICK`.
-        restarts: Whether the observer forgets everything before it.
+        samples: Measurements in the order of use, with the fields of a source's `samples`.
+        ticks: The ticks that take these samples; records of `_TICK`.
+        restarts: Whether the observer restarts, forgetting everything, before this window.
     """
 
     samples: Records
@@ -175,18 +175,18 @@ class Window(NamedTuple):
     restarts: bool
 
 
-_MAX_RATE = 1e4  # ten thousand estimates for each second [Hz]
+_MAX_RATE = 1e4  # [Hz]
 
 
 class Windows:
     """The windows of a recording; at least one, and another one whenever time restarts.
 
-    Estimates are at a rate [Hz], or at every measurement if it is None; `as_live` instead of both
-    when the recorded observer made them. `size` is the largest number of ticks in a window.
+    Estimates are made at `rate` [Hz], or at every measurement if it is None; with `as_live`, at the
+    ticks of the recorded observer, if the bag has them. A window has at most `size` ticks.
 
     Attributes:
-        live: What the recorded observer sent, if the ticks are those of its tick log.
-        at_samples: Whether there are only estimates at measurements that are in use.
+        live: The recorded observer's messages, if the ticks are those of its tick log.
+        at_samples: Whether estimates are made only at measurements that are used.
     """
 
     def __init__(self, source: BagSource, rate: float | None, as_live: bool, size: int) -> None:
@@ -207,7 +207,7 @@ class Windows:
             yield Window(_in_order(own, ticks.known), ticks, restarts)
 
     def _of_recording(self) -> Iterator[tuple[bool, Records]]:
-        """Yield the ticks of each pass of time, and whether they begin another one."""
+        """Yield the ticks of each pass of time, and whether they begin a further pass."""
         whole, latest = self._source.samples, 0
         for first, end in passes(whole.stamps):
             samples = whole[first:end]
@@ -221,7 +221,7 @@ class Windows:
             latest = int(ticks.log_times[-1])
 
     def _at_samples(self, samples: Records, arrivals: Stamps) -> Iterator[Records]:
-        """Yield a tick for each message; those in a row with one stamp share it."""
+        """Yield a tick for each message; messages in a row with the same stamp share a tick."""
         ends = 1 + np.flatnonzero(np.append(np.diff(samples.stamps) != 0, True))
         for begin in range(0, len(ends), self._size):
             known = ends[begin : begin + self._size]
@@ -241,7 +241,7 @@ class Windows:
             times = np.maximum.accumulate(np.append(latest, stamps + delays[known]))[1:]
             ticks, latest = _ticks(stamps, stamps, known, times, times), int(times[-1])
             if begin + self._size >= count and known[-1] < len(samples):
-                # What no tick takes is used all the same.
+                # Samples that no tick takes are used all the same.
                 last = max(latest, int(samples.log_times[-1]))
                 rest = _ticks(arrivals[-1:], arrivals[-1:], len(samples), last, last)
                 rest.estimated = False
@@ -263,7 +263,7 @@ class Windows:
 
 
 def _ticks(*columns: Any) -> Records:
-    """Return ticks with estimates of their stamps, `now`, `known`, log and publish times."""
+    """Return ticks with estimates from their stamps, `now`, `known`, log and publish times."""
     stamps, now, known, log_times, publish_times = np.broadcast_arrays(*columns)
     made = (stamps, now, known, np.ones(len(stamps)), log_times, publish_times)
     return np.rec.fromarrays(made, _TICK)
@@ -278,9 +278,9 @@ def _in_order(samples: Records, known: Integers) -> Records:
 
 
 def digests(topic: str, data: NDArray[np.uint8]) -> Integers:
-    """Return a number for each of n messages of a topic, shape (n, size).
+    """Return a number for each of n messages of a topic, whose bytes have the shape (n, size).
 
-    Those of equal ones are the same, in this process only.
+    Equal messages have equal numbers, in this process only.
     """
     rows = np.ascontiguousarray(data).view(f"V{data.shape[1]}")[:, 0].tolist()
     return np.fromiter((hash((topic, row)) for row in rows), np.int64, len(rows))
@@ -297,7 +297,7 @@ def _digested(topic: str, data: NDArray[np.uint8]) -> NDArray[Any]:
 
 
 def _add_ticks(messages: RawMessages, ticks: Spool, checksums: Spool) -> None:
-    """Add messages to ticks and their checksums; those that are none of a tick log are lost."""
+    """Add messages to ticks and their checksums; messages that are no ticks are left out."""
     known = dict[int, Integers]()
     for at, data in messages.groups:
         with suppress(MessageError):
@@ -311,10 +311,10 @@ def _add_ticks(messages: RawMessages, ticks: Spool, checksums: Spool) -> None:
 
 
 def _match(wanted: Integers, there: Integers) -> NDArray[np.intp]:
-    """Return the place of each wanted checksum, -1 for none, and no place twice, shape (n,)."""
+    """Return the place of each wanted checksum, no place twice, -1 for none, shape (n,)."""
     if len(wanted) <= len(there) and (wanted == there[: len(wanted)]).all():
         return np.arange(len(wanted))
-    # The first with the first of those that are equal, and so on.
+    # Of equal checksums, the first belongs to the first, the second to the second, and so on.
     keys, known = (each << 31 | _occurrences(each) for each in (wanted, there))
     order = np.argsort(known)
     found = order[np.searchsorted(known, keys, sorter=order).clip(max=len(known) - 1)]
@@ -322,7 +322,7 @@ def _match(wanted: Integers, there: Integers) -> NDArray[np.intp]:
 
 
 def _occurrences(numbers: Integers) -> NDArray[np.intp]:
-    """Return how many numbers in front of each are equal to it, shape (n,)."""
+    """Return for each number how many numbers before it are equal to it, shape (n,)."""
     order = np.argsort(numbers, kind="stable")
     found = np.empty(len(numbers), np.intp)
     found[order] = np.arange(len(numbers)) - np.searchsorted(numbers[order], numbers[order])

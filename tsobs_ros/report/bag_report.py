@@ -38,27 +38,27 @@ def make_bag_report(
 ) -> tuple[dict[str, Any], str]:
     """Measure a bag and write `report.html`, `report.png` and `report.json` to a folder.
 
-    Returns the report as plain data, which is that of the last one, and as text for a terminal.
+    Returns the report as plain data, as in `report.json`, and as text for a terminal.
 
     Args:
         bag: Bag folder or MCAP file.
         output: The folder, which is created.
         design: File of the design that the estimates were made with; if None, the one in the bag,
             else the shipped one.
-        other_design: Whether that may be another one than the bag's.
+        other_design: Whether the design may differ from the bag's.
         ekf: Whether to run EKFs over the same measurements.
         joint: Name of the joint; None if there is one only.
         topic: Name of the measurements' topic, for a bag with several arms.
         force: Whether to replace files of these names.
-        notes: What else is known of the run's origin, such as a seed, by name.
+        notes: Other facts about the run's origin, such as a seed, by name.
 
     Raises:
-        BagReadError: The bag cannot be read or lacks what a report needs.
-        DesignFileError: The design is none, or not that of the bag; or that is not known here.
+        BagReadError: The bag cannot be read or lacks data that a report needs.
+        DesignFileError: The file is no design, or not that of the bag; or the bag's is not unique.
         OutputError: A file exists already, or cannot be written.
         ModuleNotFoundError: matplotlib or plotly is not installed.
     """
-    # Here, so that they are needed only for what they draw.
+    # Imported here, so that matplotlib and plotly are needed only for drawing.
     from tsobs_ros.report.figures import draw_run
     from tsobs_ros.report.page import write_html
 
@@ -133,7 +133,7 @@ def make_bag_report(
 
 
 def _compared(ours: RunMetrics, method: str, theirs: RunMetrics) -> dict[str, Any]:
-    """Return the errors of an EKF, and what ours are of them, as plain data."""
+    """Return the errors of an EKF, and ours relative to them, as plain data."""
     pairs = list(zip(ours.quantities, theirs.quantities, strict=True))
     return {
         "method": method,
@@ -145,7 +145,7 @@ def _compared(ours: RunMetrics, method: str, theirs: RunMetrics) -> dict[str, An
 
 
 def _tables(run: RecordedRun, diagnosed: Diagnosed, events: Sequence[JointEvent]) -> list[Table]:
-    """Return the tables of what happened."""
+    """Return the tables of faults, events and rejected measurements."""
     faults = [
         (
             one.output or run.joint,

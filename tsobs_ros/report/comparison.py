@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Observers over the same measurements, side by side, as numbers and as text for terminals.
+"""Comparison of observers over the same measurements, as numbers and as text for terminals.
 
 The reference is an EKF with the disturbance model, noise and start of the design, and with a gate
-(`estimation.baselines`). Where ours learns parameters there are two, as only the truth shows which
-one is the better rival: one keeps the nominal parameters, the other has them as states.
+(`estimation.baselines`). If our observer learns parameters, there are two EKFs, as only the truth
+shows which is the better rival: one keeps the nominal parameters, the other has them as states.
 """
 
 import math
@@ -28,7 +28,7 @@ from tsobs_ros.report.run import ESTIMATED, RecordedRun, recorded_parts, run_of
 from tsobs_ros.series import Series
 
 DIVERGED = 1e6
-"""No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
+"""Larger errors are shown as a word, as no joint's error is so large [rad, rad/s]."""
 
 _NOTHING = "–"
 _EKFS = {
@@ -42,11 +42,11 @@ class ObserverErrors(NamedTuple):
     """Errors of one observer at one joint.
 
     Attributes:
-        innovation_rms: Of all innovations of each output; None without any.
+        innovation_rms: Root mean square of all innovations of each output; None without any.
         metrics: Errors against the truth if it is known, and the innovations' consistency;
             None without estimates.
         outputs: Names of the outputs, and their units.
-        held_out: Errors against a sensor that no observer gets; None without one.
+        held_out: Errors against a held-out sensor; None without one.
     """
 
     observer: str
@@ -78,10 +78,10 @@ class ObserverErrors(NamedTuple):
 def best_ekf(
     source: BagSource, design: Design, settings: ObserverSettings
 ) -> tuple[str, RunMetrics, RecordedRun]:
-    """Return the EKF with the smallest errors over the only joint of a bag: name, errors and run.
+    """Return the EKF with the smallest errors for the only joint of a bag: name, errors and run.
 
-    If ours, of a design and settings, learns parameters, there are two: one with the nominal
-    parameters, and one that has those as states.
+    If our observer with this design and these settings learns parameters, two EKFs are run: one
+    with the nominal parameters, and one with the uncertain parameters as states.
     """
     methods = EKFS if settings.learnt(design) else EKFS[:1]
     observers = [Observer(name, replace(settings, method=name), (design,)) for name in methods]
@@ -96,13 +96,13 @@ def best_ekf(
 def measure_runs(
     source: BagSource, runs: Sequence[Run], sensors: Sequence[HeldOutSensor] = ()
 ) -> list[tuple[ObserverErrors, RecordedRun | None]]:
-    """Measure runs that have kept their estimates, if time restarted the longest pass.
+    """Measure runs that have kept their estimates; if time restarted, measure the longest pass.
 
-    Of each joint there may be a sensor that no run got, to measure them against. Returns, joint by
-    joint, each observer's errors with its run, None without estimates.
+    `sensors` has the held-out sensor of each joint, or is empty. Returns, joint by joint, each
+    observer's errors with its run, which is None without estimates.
 
     Raises:
-        LogError: Too few readings of a held-out sensor are between estimates.
+        LogError: There are too few readings of a held-out sensor between estimates.
     """
     found = []
     for joint, name in enumerate(source.joints):
@@ -150,7 +150,7 @@ def render_comparison(rows: Sequence[ObserverErrors]) -> str:
 
 
 def about_ekfs(methods: Sequence[str]) -> str:
-    """Return the line on what EKFs have in common with ours, and in what they differ."""
+    """Return the line that compares EKFs with our observer, and with each other."""
     known = ", ".join(f"{name} has {_EKFS[name]}" for name in methods)
     return f"EKF: same disturbance model, noise and data as ours; {known}"
 
@@ -220,7 +220,7 @@ def aligned(rows: Sequence[Sequence[str]], text_columns: int = 2) -> list[str]:
 
 
 def number_text(value: float | None) -> str:
-    """Return an error with three digits, or a word if there is none or it is huge."""
+    """Return an error with three digits, or a dash if there is none, or a word if it is huge."""
     if value is None:
         return _NOTHING
     return "diverged" if value > DIVERGED else f"{value:#.3g}"

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults and rejected measurements, as the observer's recorded diagnostics have them."""
+"""Faults and rejected measurements from the observer's recorded diagnostics."""
 
 import math
 import re
@@ -14,19 +14,19 @@ from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.series import NANOSECONDS
 
 _FAULT, _REASONS = "sensor fault", tuple(reason.text for reason in RejectReason)
-# A fault that the next status does not repeat has ended by then; they are a second apart.
+# A fault that no status repeats within this time has ended [s]; statuses are a second apart.
 _APART = 2.5
 _MAX_KIND = 40
 
 
 class RecordedStatus(NamedTuple):
-    """A status of a recorded array.
+    """A status from a recorded DiagnosticArray.
 
     Attributes:
-        stamp: Of the array's header, ns since the epoch.
+        stamp: Stamp of the array's header, ns since the epoch.
         level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
         name: Parts of its name, such as the node, a joint and the concern.
-        values: By their keys.
+        values: The values by key.
     """
 
     stamp: int
@@ -37,10 +37,10 @@ class RecordedStatus(NamedTuple):
 
 @dataclass
 class FaultSpan:
-    """A reported fault of an output, whose name is empty if there is one only.
+    """A reported fault of an output, whose name is empty if there is only one.
 
-    Level and magnitude are the largest ones. It begins and ends in seconds since the run's origin,
-    with the first report without it.
+    Level and magnitude are the largest reported ones. Begin and end are in seconds since the run's
+    origin; a fault ends with the first report without it.
     """
 
     output: str
@@ -54,11 +54,11 @@ class FaultSpan:
 
 @dataclass
 class Diagnosed:
-    """What the diagnostics of an observer have of a joint.
+    """A summary of an observer's diagnostics for a joint.
 
     Attributes:
         count: Number of statuses.
-        rejected: Number of rejected measurements by reason, without those that are zero.
+        rejected: Number of rejected measurements by reason, without zeros.
     """
 
     count: int = 0
@@ -66,7 +66,7 @@ class Diagnosed:
     rejected: Counter[str] = field(default_factory=Counter)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return it as plain data."""
+        """Return the summary as plain data."""
         return {
             "faults": [{**asdict(one), "level": one.level.name} for one in self.faults],
             "rejected": self.rejected,
@@ -74,7 +74,7 @@ class Diagnosed:
 
 
 def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> Diagnosed:
-    """Gather what statuses have up to the end of a run [s]; times count from a stamp [ns]."""
+    """Gather the statuses of a run that ends at `until` [s]; times count from `origin` [ns]."""
     found, running, counted = Diagnosed(), dict[str, FaultSpan](), Counter[str]()
     for status in statuses:
         time = (status.stamp - origin) / NANOSECONDS
@@ -101,7 +101,7 @@ def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> D
             }
         )
         if latest:
-            # Counts that have fallen are those of an observer that was started again.
+            # Counts that have fallen are those of a restarted observer, and add nothing.
             found.rejected += latest - counted
             counted = latest
     return found

@@ -1,8 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of a bag as CSV or Parquet files, one each; numbers read back to the same bits.
+"""Topics of a bag as CSV or Parquet files, one file each; numbers read back to the same bits.
 
-A topic becomes a table: columns, found in a first pass, and rows. Nested fields become columns such
+A topic becomes a table, whose columns are found in a first pass. Nested fields become columns such
 as `pose.position.x` or `data[3]`. Times and the numbers of a JointState have units.
 """
 
@@ -28,7 +28,7 @@ from tsobs_ros.replay.places import CONDITIONS
 from tsobs_ros.series import NANOSECONDS
 
 MAX_COLUMNS = 64
-"""Arrays that are ever longer stay in one column, as lists."""
+"""An array that is longer in any message stays in one column, as lists."""
 
 _BLOCK = 16_384
 _MAX_INT64 = 2**63 - 1
@@ -42,9 +42,9 @@ Cell: TypeAlias = tuple[str, str, Any]
 """Column, unit and value: a number, text, bytes, or a list if the array stays in one column."""
 
 _TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
-# Of revolute joints; bags do not distinguish prismatic ones.
+# Units of revolute joints; bags do not distinguish prismatic ones.
 _UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
-# An observer's health is no angle, and the disturbance of a velocity is none.
+# An observer's health is no angle, nor is the disturbance of a velocity.
 _RATES = {"position": "rad/s", "velocity": "rad/s^2"}
 _UNITS_OF_ENTRIES: Units = {
     **{name: {"position": ""} for name in CONDITIONS},
@@ -88,12 +88,12 @@ class _Table:
                 if isinstance(value, int):
                     column.largest = max(column.largest, value)
                 column.example = value
-        # What was an array of several columns before it became too long is one column throughout.
+        # An array that becomes too long in a later message is one column throughout.
         split = tuple(f"{name}[" for name in self._whole)
         self.columns = [one for one in found.values() if not (split and one.name.startswith(split))]
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield the rows by column; a message may lack some columns."""
+        """Yield each row as values by column; a message may lack some columns."""
         for cells in self._messages():
             yield {name: value for name, _, value in cells}
 
@@ -126,7 +126,7 @@ class _Table:
             )
 
     def _flatten_joint_state(self, message: JointState) -> Iterator[Cell]:
-        """Yield the cells of a JointState; its numbers have the names of their joints."""
+        """Yield the cells of a JointState; the columns of numbers name their joints."""
         yield "header.stamp", "ns", message.stamp
         yield "header.frame_id", "", message.frame_id
         names = message.names
@@ -163,7 +163,7 @@ def _type_of(value: Any) -> str:
 
 
 def _units_of_systems(reader: BagReader) -> dict[str, dict[str, str]]:
-    """Return the units of the entries of T–S systems by field, as recorded designs have them."""
+    """Return the units of the entries of T–S systems by field, from the recorded designs."""
     units: dict[str, dict[str, str]] = {}
     with suppress(TsobsError):  # without the design there are no units
         for ran in recorded_observers(reader).values():
@@ -192,7 +192,7 @@ class Exported(NamedTuple):
 def export_bag(
     bag: str | Path, output: str | Path, *, topics: Sequence[str] = (), format: str = "csv"
 ) -> list[Exported]:
-    """Write each topic, by default all that have messages, to a file of its name below a folder.
+    """Write topics, by default all that have messages, to files below a folder, named by topic.
 
     No file is replaced. The format is "csv" or "parquet".
 
@@ -209,7 +209,7 @@ def export_bag(
     for path in paths.values():
         if os.path.lexists(path):
             raise OutputError(f"{path}: exists already, files are not overwritten")
-    # All topics before the first file: one that cannot be decoded leaves none behind.
+    # Read all topics before the first file is written: an error then leaves no file behind.
     units = _units_of_systems(reader)
     tables = {path: _Table(reader, topic, units) for topic, path in paths.items()}
     with written_whole(output) as folder:
@@ -224,7 +224,7 @@ def export_bag(
 
 
 def _file_of(topic: str, output: Path, format: str) -> Path:
-    """Return a topic's file, which is below the folder whatever the topic's name is."""
+    """Return a topic's file, which is below the folder for any name of the topic."""
     names = topic.removeprefix("/").split("/")
     parts = [
         quote(one, safe="", errors="surrogatepass").replace(".", "%2E") or "%" for one in names
@@ -259,7 +259,7 @@ def _csv_cell(value: Any) -> Any:
 
 
 def _write_parquet(table: _Table, path: Path) -> None:
-    # Here, so that pyarrow is needed only for Parquet.
+    # Imported here, so that pyarrow is needed only for Parquet.
     import pyarrow as pa
     import pyarrow.parquet as pq
 

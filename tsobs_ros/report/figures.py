@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A run as one picture, drawn without any display and without matplotlib's global state."""
+"""The figure of a run, drawn without any display and without matplotlib's global state."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ from tsobs_ros.style import MUTED, STYLE
 _WIDTH, _ROW, _HEAD, _DPI = 10.0, 1.6, 1.5, 140
 _FAINT = 0.15
 _JUMP: dict[str, Any] = {"color": EVENT_COLOUR, "lw": 1.0, "ls": (0, (2, 2))}
-# Characters of a label and of a remark in a line, for which there is room.
+# The largest number of characters in a line of a label, and of a remark.
 _LABEL_WIDTH, _REMARK_WIDTH = 20, 70
 
 
@@ -39,13 +39,13 @@ def draw_run(picture: Picture, path: Path) -> None:
     Raises:
         OSError: The file cannot be written.
     """
-    # A name is no formula.
+    # Dollar signs in a name do not begin a formula.
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
         _figure(picture).savefig(path, dpi=_DPI, metadata={"Software": None})
 
 
 def _figure(picture: Picture) -> Figure:
-    """Return the figure: values and errors side by side, then two plots a row."""
+    """Return the figure: values and errors side by side, then two plots per row."""
     pairs = [plot for row in picture.rows if len(row) == 2 for plot in row]
     singles = [row[0] for row in picture.rows if len(row) == 1]
     plots = [*pairs, *singles]
@@ -128,6 +128,6 @@ def _draw(axes: Axes, plot: Plot, picture: Picture) -> None:
 
 
 def _mark(axes: Axes, spans: Sequence[tuple[float, float]], **style: Any) -> None:
-    """Mark times over the whole height, as one artist: one each would make many events slow."""
+    """Mark times over the whole height, by one artist: with many events, one each would be slow."""
     widths = [(begin, end - begin) for begin, end in spans]
     axes.broken_barh(widths, (0.0, 1.0), transform=axes.get_xaxis_transform(), lw=0, **style)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a fit: numbers, how well they predict, what the model lacks, and the residuals."""
+"""The page of a fit: the numbers, their predictions, flaws of the model, and the residuals."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +24,7 @@ _SEEN = ("hardly", "yes")
 
 
 def write_page(path: Path, fit: Fit, names: str) -> None:
-    """Write a fit to recordings of some names as a page that needs nothing but itself.
+    """Write a fit as a page that needs nothing but itself; `names` are those of the recordings.
 
     Raises:
         OSError: The page cannot be written.
@@ -66,7 +66,7 @@ def _rows(fit: Fit) -> Iterator[tuple[Plot, ...]]:
 
 
 def _residual(name: str, time: Array, r: Array, gap: float) -> Plot:
-    """Return the plot of innovations by their expected 1σ."""
+    """Return the plot of innovations divided by their expected 1σ."""
     there = np.isfinite(r)
     time, r = time[there], r[there]
     share = 100.0 * float((np.abs(r) > SIGMAS).sum()) / max(len(r), 1)
@@ -78,7 +78,7 @@ def _residual(name: str, time: Array, r: Array, gap: float) -> Plot:
 
 
 def _friction(fit: Fit) -> Plot:
-    """Return the plot of fitted friction, and of it with the rest, over the motor's velocity."""
+    """Return the plot of friction over motor velocity: fitted, and with the unexplained torque."""
     speed, fitted = fit.traces.velocity, -fit.joint.friction[0] * np.sign(fit.traces.velocity)
     groups = np.array_split(np.argsort(speed), min(_GROUPS, len(speed)))
     at, with_rest, alone = (

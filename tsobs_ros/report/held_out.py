@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor that no observer gets, and the errors of estimates against it."""
+"""A sensor that is kept from all observers, and the errors of estimates against it."""
 
 import math
 from typing import Any, NamedTuple
@@ -25,13 +25,13 @@ _NEIGHBOURS, _ROUNDED = 7, 1e-9
 def read_held_out(source: BagSource, std: float | None = None) -> "list[HeldOutSensor]":
     """Return the held-out sensor of each joint of a source whose designs are known.
 
-    Its noise has a 1σ (rad, rad/s) that is given, or estimated from its high frequencies. There are
-    none if nothing is held out.
+    The 1σ of its noise (rad, rad/s) is `std`, or estimated from its high frequencies. The list is
+    empty if nothing is held out.
 
     Raises:
         ModelError: The noise is not above 0.
         BagReadError: The bag does not have the sensor.
-        LogError: Readings are too few.
+        LogError: There are too few readings.
     """
     name, _, place = (source.held_out or "").partition("=")
     if not name:
@@ -43,7 +43,7 @@ def read_held_out(source: BagSource, std: float | None = None) -> "list[HeldOutS
     asked = {}
     for number, (joint, own) in enumerate(zip(source.joints, source.signals, strict=True)):
         names = [entry or topics.sides(joint)[side == "motor"]]
-        # In measurements the joint's name is of the side that the observer takes it for.
+        # In measurements, the joint's name stands for the side that the observer assumes.
         outputs = source.requests[number].output_names
         link = source.both_sides or any("link" in output for output in outputs)
         if not entry and (topic != source.topic or link == (side == "link")):
@@ -68,7 +68,7 @@ def read_held_out(source: BagSource, std: float | None = None) -> "list[HeldOutS
 
 
 class HeldOutSensor(NamedTuple):
-    """A joint's sensor that is held out: its column or entry, 1σ of its noise, its readings."""
+    """A joint's held-out sensor: its column or entry, 1σ of its noise, its readings."""
 
     quantity: Quantity
     source: str
@@ -78,7 +78,7 @@ class HeldOutSensor(NamedTuple):
 
     @property
     def note(self) -> str:
-        """The line on the sensor and on what the errors are."""
+        """The line on the sensor and on the meaning of the errors."""
         origin = "estimated from its high frequencies" if self.std_is_estimated else "as given"
         return (
             f"held out: {self.quantity.name}, {self.source}; its noise of {self.std:.3g} "
@@ -87,12 +87,12 @@ class HeldOutSensor(NamedTuple):
         )
 
     def errors(self, run: RecordedRun, windows: Windows) -> "HeldOutErrors | None":
-        """Return the errors of a run, None if its estimates are no numbers.
+        """Return the errors of a run; None without health, readings or finite estimates.
 
         Estimates are interpolated to the stamps of the readings, not across gaps.
 
         Raises:
-            LogError: Too few readings are between settled estimates.
+            LogError: There are too few readings between settled estimates.
         """
         one = run.of(self.quantity)
         health, readings = run.part("health"), run.part("held_out")
@@ -125,11 +125,11 @@ class HeldOutErrors(NamedTuple):
     """Errors of estimates against a held-out sensor over the settled parts, its noise included.
 
     Attributes:
-        samples: Number of its readings between estimates.
-        claimed: Share of them for which a bound is claimed.
+        samples: Number of the sensor's readings between estimates.
+        claimed: Share of these readings for which a bound is claimed.
         bias: Mean of estimate − sensor.
         largest: Largest error, without its sign.
-        with_bias: Sizes of the errors; to the square of a claimed bound that of the noise is added.
+        with_bias: Sizes of the errors; the square of the noise is added to that of a claimed bound.
         without_bias: Sizes of the errors without their mean.
     """
 
@@ -158,7 +158,7 @@ def _require_enough(count: int, quantity: Quantity, where: str) -> None:
 
 
 def _noise_std(stamps: Stamps, values: Array) -> float:
-    """Return the 1σ of what no polynomial explains of neighbouring readings, or of rounding."""
+    """Return the 1σ of noise: the misfit of polynomials to neighbours, or rounding if larger."""
     steps = np.abs(np.diff(values))
     rounding = float(steps[steps > _ROUNDED].min(initial=np.inf)) / math.sqrt(12.0)
     rounding = rounding if math.isfinite(rounding) else 0.0
@@ -171,5 +171,5 @@ def _noise_std(stamps: Stamps, values: Array) -> float:
     weights = 1.0 / apart.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     rest = np.sum(weights * sliding_window_view(values[places], _NEIGHBOURS), axis=1)
-    # The median ignores outliers; 0.6745 σ of a normal distribution.
+    # The median ignores outliers; it is 0.6745 σ for a normal distribution.
     return max(float(np.median(np.abs(rest))) / 0.6745, rounding)

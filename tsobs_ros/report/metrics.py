@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of a run's estimates, and the validity of their published bounds.
 
-Errors are judged over the *settled* parts of a run: what remains without some seconds after the
-start and after each jump of the true disturbance, which no estimator can know at once.
+Errors are judged over the *settled* parts of a run: without some seconds after the start and after
+each jump of the true disturbance, as no estimator can know the new value at once.
 """
 
 import math
@@ -21,7 +21,7 @@ from tsobs_ros.report.quantities import Kind, Quantity
 from tsobs_ros.report.run import RecordedRun
 
 SIGMAS = 3.0
-"""Errors count as inside their bound up to this many of its 1σ."""
+"""An error counts as inside its bound up to this multiple of the bound's 1σ."""
 
 SETTLE_TIME = 5.0
 """Time that does not count after the first estimate and each jump of a true disturbance [s]."""
@@ -29,7 +29,7 @@ SETTLE_TIME = 5.0
 SCALE: tuple[float, ...] = (0.226, 0.60, 0.355, 0.464)
 """Root mean square of the default arm's motion (rad, rad/s), by which its errors are normalised."""
 
-# A fault that chatters is one event: jumps this close to the one before are no others [s].
+# A fault that chatters is one event: jumps this soon after the previous one do not count [s].
 _SAME_JUMP = 0.1
 
 
@@ -39,7 +39,7 @@ class QuantityMetrics(NamedTuple):
     Attributes:
         rmse: Root mean square error, in the quantity's unit.
         bound: Root mean square of the published 1σ bound.
-        ratio: rmse / bound; at most 1, up to chance, if the certificate's model is true.
+        ratio: rmse / bound; at most 1, except by chance, if the certificate's model is right.
         inside: Fraction of samples with an error inside `SIGMAS` times the bound.
     """
 
@@ -59,7 +59,7 @@ Windows = tuple[tuple[float, float], ...]
 
 
 class Jump(NamedTuple):
-    """A jump of a true disturbance: seconds since the run's origin, its size, and of what it is."""
+    """A jump of a true disturbance: seconds since the run's origin, its size, and its kind."""
 
     time: float
     size: float
@@ -68,19 +68,19 @@ class Jump(NamedTuple):
 
 @dataclass(frozen=True)
 class RunMetrics:
-    """The measured run.
+    """The metrics of a run.
 
     Attributes:
-        quantities: One for each of the run's quantities, in that order.
+        quantities: The metrics of each of the run's quantities, in that order.
         normalised_rmse: Root mean square over the states of RMSE / scale; None without truth.
         nis: Mean normalised innovation squared over the settled parts, 1 if the innovations are
             as large as the design expects; None if that is not known.
-        output_nis: The same of each output.
+        output_nis: The same for each output.
         jumps: Jumps of the true disturbances, in order.
         windows: Settled parts as (begin, end) in seconds since the run's origin.
         settled_time: Their total length [s].
         first: Time of the first estimate since the run's origin [s].
-        duration: From there to the last estimate [s].
+        duration: Time from the first to the last estimate [s].
     """
 
     quantities: tuple[QuantityMetrics, ...]
@@ -135,14 +135,14 @@ def measure(
     """Measure a run; without truth only its bounds and innovations are measured.
 
     `innovation_std` is the 1σ that the design expects of each output's innovation, empty if
-    unknown; `settle_time` after the first estimate and each jump does not count [s].
+    unknown; a `settle_time` [s] after the first estimate and after each jump does not count.
     """
     times, scale = run.times, SCALE
-    if isinstance(run.request, TSRequest):  # their sizes before any measurement
+    if isinstance(run.request, TSRequest):  # sizes of the states before any measurement
         scale = tuple(np.asarray(run.request.initial_std).tolist())
     measured = run.part("measurements").seconds(run.origin)
     jumps, first, last = _jumps(run), float(times[0]), float(times[-1])
-    # Predictions of an observer that is left running after the last measurement do not count.
+    # Predictions after the last measurement, of an observer left running, do not count.
     end = min(last, float(measured.max(initial=-math.inf)))
     # A jump during the start does not end the start, hence the running maximum.
     edges = [one.time for one in jumps]
@@ -174,7 +174,7 @@ def measure(
 
 
 def root_mean(values: Array) -> float | None:
-    """Return the root mean square of the finite ones of some values; None without any."""
+    """Return the root mean square of the finite values; None without any."""
     finite = values[np.isfinite(values)]
     with np.errstate(over="ignore"):
         return _bounded(math.sqrt(np.mean(np.square(finite)))) if len(finite) else None
@@ -194,7 +194,7 @@ def quantity_metrics(quantity: Quantity, error: Array, bound: Array) -> Quantity
 def _innovations(
     run: RecordedRun, windows: Windows, stds: Sequence[float]
 ) -> tuple[float | None, tuple[float | None, ...]]:
-    """Return the mean square of all innovations over the expected, and that of each output."""
+    """Return the mean square of all innovations over the expected one, and that of each output."""
     innovation = run.part("innovation")
     if not (len(innovation.stamps) and stds):
         return None, ()
@@ -206,7 +206,7 @@ def _innovations(
 
 
 def _bounded(value: float) -> float:
-    """Return a number that JSON can hold: a diverged estimate is squared past the largest one."""
+    """Return a number that JSON can hold: the square of a diverged estimate may overflow."""
     return min(value, sys.float_info.max)
 
 
@@ -232,5 +232,5 @@ def _jumps(run: RecordedRun) -> list[Jump]:
 
 def inside_windows(times: Array, windows: Windows) -> Flags:
     """Return which times [s] lie in one of the windows, their ends not included, shape (n,)."""
-    # They neither overlap nor touch.
+    # The windows neither overlap nor touch.
     return np.asarray(np.searchsorted(np.ravel(windows), times, side="right") % 2 == 1)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A run as an interactive page: what it comes to in words, its panels to zoom into, its tables."""
+"""An interactive page of a run: a verdict in words, plots to zoom into, and tables."""
 
 import base64
 import gzip
@@ -47,9 +47,9 @@ def write_html(
 ) -> None:
     """Write a page that needs nothing but itself: no network, no second file.
 
-    plotly.js is in it, compressed, which is most of the page: with a script beside it, a page
-    that is sent or moved alone would be blank. Tables are below the plots, or above them if they
-    come first.
+    The page contains plotly.js, compressed, which is most of its size: with a separate script, a
+    page that is sent or moved alone would be blank. `tables` are below the plots, `first` is above
+    them.
 
     Raises:
         OSError: The page cannot be written.
@@ -111,7 +111,7 @@ def _table(table: Table) -> str:
 
 
 def _figures(picture: Picture) -> tuple[str, list[dict[str, Any]]]:
-    """Return the plots' elements, and what is drawn into them."""
+    """Return the HTML elements of the plots, and the data that are drawn into them."""
     drawn: list[dict[str, Any]] = []
     rows = ""
     for row in picture.rows:
@@ -157,7 +157,7 @@ def _drawn(plot: Plot, picture: Picture, identity: str) -> dict[str, Any]:
     follows = plot.axis == TIME
     axis = {"zeroline": False, "gridcolor": GRID, "fixedrange": False}
     layout: dict[str, Any] = {
-        # The toolbar has its room above the values.
+        # The toolbar needs room above the values.
         "margin": {"l": 56, "r": 10, "t": 30, "b": 34},
         "font": {"color": INK, "size": 12, "family": "system-ui, sans-serif"},
         "showlegend": False,
@@ -197,7 +197,7 @@ def _trace(name: str, x: Array, y: Array, **style: Any) -> dict[str, Any]:
 
 
 def _switch(name: str, colour: str) -> dict[str, str]:
-    """Return what lets a button switch all curves of a name."""
+    """Return the entries by which a button switches all curves of a name."""
     return {"legendgroup": name, "meta": colour}
 
 
@@ -218,7 +218,7 @@ def _outline(band: Band) -> tuple[Array, Array]:
 
 def _shapes(plot: Plot, picture: Picture) -> Iterator[dict[str, Any]]:
     if plot.axis == TIME:
-        # One path for all: a shape for each would make a page of many events slow.
+        # One path for all spans: a shape for each would make a page with many events slow.
         span = "M{0:.4f},0 L{0:.4f},1 L{1:.4f},1 L{1:.4f},0 Z"
         below = {"line": {"width": 0}, "layer": "below"}
         yield _path(span, picture.unsettled) | {"fillcolor": SETTLING_COLOUR} | below

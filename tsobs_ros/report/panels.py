@@ -28,11 +28,11 @@ EVENT_COLOUR, SETTLING_COLOUR, MEASUREMENT_COLOUR = RED, "#F1F3F5", "#8A8F98"
 _LEVEL_COLOURS = {Level.OK: "#56B4E9", Level.WARN: ORANGE}
 _MAX_FAULTS = 200
 
-# Measurements may be ahead of the estimates [s].
+# Measurements may be ahead of the last estimate by this [s].
 _MAX_AHEAD = 4.0
-# Errors after a jump may leave the picture, so that the bound keeps a tenth of its height.
+# Errors after a jump may leave the plot, so that the bound keeps a tenth of the plot's height.
 _MAX_TRANSIENT = 10.0
-# Of what is published ten times a second, a longer silence is a gap [s].
+# For topics published ten times per second, a longer silence is a gap [s].
 _SLOW_GAP = 1.0
 
 
@@ -52,7 +52,7 @@ STYLES = {
     "simulated": Style(ORANGE, 1.8),
     "predicted": Style(BLUE),
 }
-"""Of the curves that many plots have. The truth is wider, for those who cannot see colours."""
+"""Styles of curves that many plots have. The truth is wider, for those who cannot see colours."""
 BAND_COLOUR = BLUE
 _OTHERS = tuple(map(Style, (BLUE, RED, GREEN, PURPLE, "#56B4E9", ORANGE, MUTED)))
 
@@ -67,7 +67,7 @@ class Curve(NamedTuple):
 
 
 class Band(NamedTuple):
-    """A band: its name, times [s], and edges of shape (n,), NaN where there is none."""
+    """A band: its name, times [s], and edges of shape (n,), NaN if there is none."""
 
     name: str
     times: Array
@@ -76,19 +76,19 @@ class Band(NamedTuple):
 
 
 class Plot(NamedTuple):
-    """What is drawn into one pair of axes.
+    """The content of one pair of axes.
 
     Attributes:
         label: The quantity.
-        unit: Of the values, empty for none.
+        unit: Unit of the values, empty for none.
         limits: Range of values to show.
         curves: Curves, the first below the others.
-        remark: Phrases on it.
+        remark: Phrases about the plot.
         bands: Bands below the curves, the widest first.
-        rows: Names of the values 0, 1, …, if these are no numbers.
-        spans: Parts of the time that are marked, (begin, end) in seconds.
-        level: Size of a constant ± line, e.g. of what is expected of noise; 0 for none.
-        axis: Label of the horizontal axis; another one than `TIME` does not follow the others.
+        rows: Names of the values 0, 1, …, if these only stand for names.
+        spans: Marked parts of the time, (begin, end) in seconds.
+        level: Height of constant ± lines, e.g. the expected size of noise; 0 for none.
+        axis: Label of the horizontal axis; an axis other than `TIME` is independent of the others.
     """
 
     label: str
@@ -109,19 +109,19 @@ class Plot(NamedTuple):
 
     @property
     def own(self) -> tuple[Curve, ...]:
-        """Its curves that need a legend of its own."""
+        """The curves that need a legend in this plot."""
         own = tuple(curve for curve in self.curves if curve.name not in STYLES)
         return own if len(own) > 1 and not self.rows else ()
 
 
 class TimingSummary(NamedTuple):
-    """How regular the measurements of a run came.
+    """The regularity of the measurements of a run.
 
     Attributes:
         rate: Median rate [Hz]; None without two measurements.
         jitter: Standard deviation of the intervals between stamps, without gaps [s].
-        max_interval: The largest one [s].
-        lost: Number of samples that are missing by the stamps.
+        max_interval: The largest interval [s].
+        lost: Number of missing samples, judged by the stamps.
         gaps: Number of intervals longer than `MAX_GAP`.
     """
 
@@ -133,10 +133,10 @@ class TimingSummary(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """What the figure and the page of a run, or of a fit, show.
+    """The content of the figure and the page of a run, or of a fit.
 
     Attributes:
-        rows: A plot, or one of values and one of their errors.
+        rows: Each row has one plot, or a plot of values and a plot of their errors.
         time_range: Begin and end of the time axis [s]: all measurements and estimates.
         unsettled: Parts that do not count as settled, (begin, end) in seconds.
         jumps: Times of the true disturbances' jumps [s].
@@ -177,7 +177,7 @@ def picture(
     diagnosed: Diagnosed | None = None,
     rival: RecordedRun | None = None,
 ) -> Picture:
-    """Return what is shown of a run.
+    """Return the picture of a run.
 
     `innovation_std` is the 1σ that the design expects of each output's innovation, empty if
     unknown; `rival` is the run of an EKF.
@@ -186,7 +186,7 @@ def picture(
     last, outputs = float(run.times[-1]), outputs_of(run.request)
     samples = run.part("measurements").ordered()
     times = samples.seconds(run.origin)
-    # What is outside of the time axis must not squeeze the rest.
+    # Samples outside of the time axis must not affect the limits.
     samples = samples.take((times >= 0.0) & (times <= last + _MAX_AHEAD))
     times = samples.seconds(run.origin)
     timing, intervals = _timing(times, 1.0 / run.request.rate)
@@ -213,7 +213,7 @@ def picture(
             *(_of_quantity(run, metrics, one, rival, samples) for one in run.quantities),
             *((plot,) for plot in singles),
         ),
-        # A stamp from a wrong clock must not squeeze the rest.
+        # A stamp from a wrong clock must not stretch the time axis.
         time_range=(0.0, measured if last <= measured <= last + 1.0 else last),
         unsettled=tuple(
             span for span in zip(edges[::2], edges[1::2], strict=True) if span[0] < span[1]
@@ -236,9 +236,9 @@ def _headline(metrics: RunMetrics, run: RecordedRun) -> str:
 
 
 def thin(values: Array) -> NDArray[np.intp]:
-    """Return the places of the lowest and the highest value of each of equal groups of them.
+    """Return the places of the lowest and the highest value in each of equal groups of values.
 
-    All if there are not too many. NaN stays where a group has nothing else.
+    All places are returned if they are few. NaN stays if a group has nothing else.
     """
     if len(values) <= MAX_CURVE:
         return np.arange(len(values))
@@ -253,7 +253,7 @@ def thin(values: Array) -> NDArray[np.intp]:
 def _with_gaps(
     times: Array, kept: NDArray[np.intp], values: Array, max_gap: float
 ) -> tuple[Array, Array]:
-    """Return kept times and their values, with NaN in the middle of each longer gap [s]."""
+    """Return kept times and their values, with NaN in the middle of gaps above `max_gap` [s]."""
     (places,) = np.nonzero(np.diff(times) > max_gap)
     between = 0.5 * (times[places] + times[places + 1])
     where = np.searchsorted(times[kept], between)
@@ -263,9 +263,9 @@ def _with_gaps(
 def thinned_curve(
     name: str, times: Array, values: Array, style: Style | None = None, max_gap: float = MAX_GAP
 ) -> Curve:
-    """Return a curve of no more points than `MAX_CURVE`, with NaN in gaps longer than so [s].
+    """Return a curve of at most `MAX_CURVE` points, with NaN in gaps longer than `max_gap` [s].
 
-    Times ascend [s]; times and values have shape (n,). The look is by default that of the name.
+    Times ascend [s]; times and values have shape (n,). The default style is that of the name.
     """
     style, kept = style or STYLES[name], thin(values)
     if style.dash == "." and len(kept) < len(values):
@@ -274,7 +274,7 @@ def thinned_curve(
 
 
 def _bands(times: Array, centre: Array, bound: Array, max_gap: float = MAX_GAP) -> tuple[Band, ...]:
-    """Return the bands of 3σ and 1σ; thinned, each is as wide as it ever was at its time."""
+    """Return the bands of 3σ and 1σ; thinned, a band covers the extremes of its points."""
     groups, made = np.arange(0, len(times), max(1, -(-len(times) // MAX_BAND))), []
     for sigmas in (SIGMAS, 1.0):
         lower = np.fmin.reduceat(centre - sigmas * bound, groups)
@@ -287,7 +287,7 @@ def _bands(times: Array, centre: Array, bound: Array, max_gap: float = MAX_GAP) 
 def lines(
     label: str, unit: str, curves: Mapping[str, tuple[Array, Array]], max_gap: float = math.inf
 ) -> Plot:
-    """Return a plot of curves, times [s] and values by name, of colours that differ."""
+    """Return a plot of curves in different colours; `curves` has times [s] and values by name."""
     styled = zip(curves.items(), cycle(_OTHERS), strict=False)
     drawn = tuple(thinned_curve(name, *values, style, max_gap) for (name, values), style in styled)
     limits = limits_around([*(values for _, values in curves.values()), np.zeros(1)])
@@ -295,7 +295,7 @@ def lines(
 
 
 def stretches(there: Flags) -> list[slice]:
-    """Return the places of each unbroken stretch of true values."""
+    """Return the slice of each unbroken stretch of true values."""
     edges = np.flatnonzero(np.diff(there.astype(np.int8), prepend=0, append=0))
     return [slice(*ends) for ends in edges.reshape(-1, 2).tolist()]
 
@@ -363,7 +363,7 @@ def _remark(one: QuantityMetrics) -> tuple[str, ...]:
 
 
 def _max_error(run: RecordedRun, metrics: RunMetrics, error: Array, bounds: Array) -> float:
-    """Return a size with all settled errors and bounds inside, and most of what a jump does."""
+    """Return a limit above all settled errors and bounds, and most of the errors after a jump."""
     settled = inside_windows(run.times, metrics.windows)
     after_start = run.times >= (metrics.windows[0][0] if metrics.windows else 0.0)
     transient = np.minimum(1.1 * np.abs(error), _MAX_TRANSIENT * bounds)
@@ -423,9 +423,9 @@ def _learnt(run: RecordedRun) -> Iterator[Plot]:
 
 
 def _health(times: Array, values: Array) -> Plot:
-    """Return the plot of noise scale and coloured power, and of when no bound is claimed."""
+    """Return the plot of noise scale and coloured power, with times without a claim marked."""
     scale, coloured, void = values[:, 0], values[:, 1], values[:, CLAIMED] == 0.0
-    ends = [*times.tolist(), *times[-1:].tolist()]  # the last one lasts to the end
+    ends = [*times.tolist(), *times[-1:].tolist()]  # the last value holds to the end
     return Plot(
         "noise scale",
         "design's = 1",
@@ -440,7 +440,7 @@ def _health(times: Array, values: Array) -> Plot:
 
 
 def _timing(times: Array, period: float) -> tuple[TimingSummary, tuple[Plot, ...]]:
-    """Return how regular the measurements came that should be so far apart [s], with a plot."""
+    """Return the regularity of measurements expected every `period` [s], with a plot."""
     times = np.unique(times)
     steps = np.diff(times)
     if not len(steps):

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The published method's examples run again: their figures, and a page of its claims, judged.
+"""The report on the published method: figures of its examples, and verdicts on its claims.
 
 Files written: `example_1.png` to `example_3.png` and `paper.html`, which needs no other file.
 """
@@ -44,7 +44,7 @@ _SYMBOLS = (
 _CASES = ("λ = 0: no uncertainty", "λ = 1: with the printed ΔA")
 _HAT, _LOW, _UNITS = "\N{COMBINING CIRCUMFLEX ACCENT}", "₁₂₃₄", ("rad", "rad/s", "rad/s²", "rad/s³")
 _SHOWN = 20.0
-"""Time of the figures [s]."""
+"""Length of time in the figures [s]."""
 
 _LABELS = {
     "PO": "PO",
@@ -54,7 +54,7 @@ _LABELS = {
     "EKF": "EKF",
     "EKF clean": "EKF without bias state",
 }
-"""The observers of Example 3 by name, as figures and tables call them."""
+"""Labels of the observers of Example 3 in figures and tables, by name."""
 
 
 def make_paper_report(
@@ -62,8 +62,8 @@ def make_paper_report(
 ) -> tuple[dict[str, Any], str]:
     """Run the examples, judge the claims, draw the figures and write the page.
 
-    Example 3 has so many noisy runs. Returned are claims, numbers and files as plain data, and the
-    claims as text; `advance` is called after each of the three examples.
+    `seeds` is the number of noisy runs of Example 3. Returns the claims, numbers and files as plain
+    data, and the claims as text. `advance` is called after each of the three examples.
 
     Raises:
         OutputError: The folder has such files already, or a file cannot be written.
@@ -123,7 +123,7 @@ def _compared(
     """Return the plot of a truth and its estimate."""
     values = {"true": truth, "estimated": estimate}
     curves = tuple(thinned_curve(name, times, each) for name, each in values.items())
-    # Estimates that are far off must not squeeze the truth.
+    # Estimates that are far off must not flatten the curve of the truth.
     room = 0.5 * np.ptp(truth)
     ends = np.clip(estimate, truth.min() - room, truth.max() + room)
     return Plot(label, unit, limits_around([truth, ends]), curves, remark)
@@ -154,7 +154,7 @@ def _rows(run: ExampleRun, letter: str) -> Iterator[tuple[Plot, ...]]:
 
 
 def _arm_rows(comparison: ArmComparison) -> Iterator[tuple[Plot, ...]]:
-    """Yield the rows of plots of Example 3: its first run."""
+    """Yield the rows of plots of Example 3, for its first run."""
     runs = comparison.trajectories
     shown = runs.times <= _SHOWN
     times, truth, y = runs.times[shown], runs.states[0, shown], runs.measurements[0, shown, 0]
@@ -175,7 +175,7 @@ def _arm_rows(comparison: ArmComparison) -> Iterator[tuple[Plot, ...]]:
             state(name, 2, *([f"θ = {theta:.3g}/s"] if np.isfinite(theta) else [])),
             lines("error of x₃", _UNITS[2], error)._replace(remark=remark, limits=(-3.0, 3.0)),
         )
-    # The disturbance of this example is all of y − x₁, so each observer's is y − x̂₁.
+    # The disturbance of this example is all of y − x₁, so each observer estimates it as y − x̂₁.
     yield tuple(
         lines(
             "disturbance",

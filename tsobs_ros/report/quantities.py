@@ -12,20 +12,20 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 Kind: TypeAlias = Literal["state", "disturbance", "torque_disturbance"]
 
 _JUMP = 0.03
-"""Change of an angle's true disturbance from one sample to the next that is a jump [rad].
+"""Change of an angle's true disturbance from one sample to the next that counts as a jump [rad].
 
-It is about 1σ of the sensor's noise, and several times what a fault of 0.4 rad at 3 rad/s moves in
-a sample at 200 Hz."""
+It is about 1σ of the sensor's noise, and several times the change per sample at 200 Hz of a fault
+of 0.4 rad at 3 rad/s."""
 
 
 class Quantity(NamedTuple):
     """An estimated quantity.
 
     Attributes:
-        key: For programs.
-        name: For people.
-        column: Its place among those of its kind.
-        jump: Change of its truth from one sample to the next that is a jump; infinite if none is.
+        key: Name for programs.
+        name: Name for people.
+        column: Its place among the quantities of its kind.
+        jump: A larger change of its truth between samples is a jump; infinite if none is.
     """
 
     key: str
@@ -37,9 +37,9 @@ class Quantity(NamedTuple):
 
 
 def quantities_of(request: ArmRequest | TSRequest) -> tuple[Quantity, ...]:
-    """Return what is estimated with a design: states, disturbances and torque disturbances.
+    """Return the quantities estimated with a design: states, disturbances, torque disturbances.
 
-    Of several outputs, those without a disturbance are left out.
+    A disturbance that the design lacks is left out, unless it is that of an arm's only output.
     """
     is_arm, outputs = isinstance(request, ArmRequest), outputs_of(request)
     alone, names = is_arm and len(outputs) == 1, _said(request, request.state_names)
@@ -73,13 +73,13 @@ def inputs_of(request: ArmRequest | TSRequest) -> list[tuple[str, str]]:
 
 
 def _said(request: ArmRequest | TSRequest, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return names for people: those of an arm are words, those of a T–S system are its own."""
+    """Return names for people: an arm's names as words, a T–S system's names unchanged."""
     is_arm = isinstance(request, ArmRequest)
     return tuple(name.replace("_", " ") for name in names) if is_arm else names
 
 
 def measured_states(request: ArmRequest | TSRequest) -> dict[str, int]:
-    """Return the place of the output that measures a state and nothing else, by the state's key."""
+    """Return the place of each output that measures one state only, by the state's key."""
     if isinstance(request, ArmRequest):
         return {name: place for place, name in enumerate(request.output_names)}
     found = {}

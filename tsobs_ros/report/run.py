@@ -45,7 +45,7 @@ TRUE = {
     "true_disturbance": topics.TRUE_DISTURBANCE,
     "true_torque_disturbance": topics.TRUE_TORQUE,
 }
-"""The simulator's topics by the parts of a run."""
+"""The simulator's topics by the names of a run's parts."""
 
 _OWN = {fields[0]: topic for topic, fields in ESTIMATES.items() if topic != topics.HEALTH}
 _OWN |= {"health": topics.HEALTH, "innovation": topics.INNOVATION}
@@ -54,7 +54,7 @@ _OWN |= {"health": topics.HEALTH, "innovation": topics.INNOVATION}
 class Estimated(NamedTuple):
     """A quantity of a run: m estimates, 1σ bounds, the truth, and the truth at the same stamps.
 
-    What is unknown is NaN; a truth that is not recorded is None.
+    Unknown values are NaN; a truth that is not recorded is None.
     """
 
     values: Array
@@ -77,20 +77,20 @@ class RecordedRun:
 
     Attributes:
         name: Its origin, for titles.
-        parts: What there is of these, by their names. Stamps ascend but for the measurements.
+        parts: The following series, if they exist. Stamps ascend except in measurements.
 
-            measurements: In order of arrival at the sampling stamps: outputs, then inputs.
-            state, disturbance, torque_disturbance: Estimates, of an arm [q₁, q̇₁, q₂, q̇₂] (rad,
-                rad/s), of each output, of each torque [N m]. There is a state.
+            measurements: Outputs, then inputs, at the sampling stamps in order of arrival.
+            state, disturbance, torque_disturbance: Estimates of the state, for an arm [q₁, q̇₁, q₂,
+                q̇₂] (rad, rad/s), per output, and per torque [N m]. There is always a state.
             state_bound, disturbance_bound, torque_disturbance_bound: Published 1σ bounds.
             true_state, true_disturbance, true_torque_disturbance: At the sampling stamps.
             innovation: y − ŷ at the sampling stamps, NaN of outputs that were not used.
             health: Fields of `HEALTH` at their stamps.
             parameters, parameter_bound: Learnt changes of the uncertain parameters, and 1σ.
-            held_out: Readings of a sensor that no observer got.
+            held_out: Readings of a sensor that was kept from all observers.
         topic: Name of the measurements' topic.
-        passes: Number of passes over the recorded time; this is the longest one.
-        request: Of the design, for names, units and places.
+        passes: Number of passes over the recorded time; the run is the longest one.
+        request: The design's request, for names, units and places.
     """
 
     name: str
@@ -101,7 +101,7 @@ class RecordedRun:
     request: ArmRequest | TSRequest = field(default_factory=ArmRequest)
 
     def part(self, name: str) -> Series:
-        """Return a part, without rows if it is not known."""
+        """Return a part; it has no rows if it does not exist."""
         return self.parts.get(name, NOTHING)
 
     @property
@@ -111,12 +111,12 @@ class RecordedRun:
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
-        """What the estimates are of."""
+        """The estimated quantities."""
         return quantities_of(self.request)
 
     @cached_property
     def origin(self) -> int:
-        """Stamp that times count from: the first measurement's, or estimate's if earlier [ns]."""
+        """Stamp from which times count [ns]: the first measurement's, or estimate's if earlier."""
         stamped = self.part("measurements").stamps
         return int(np.append(stamped[stamped > 0], self.stamps[0]).min())
 
@@ -126,7 +126,7 @@ class RecordedRun:
         return self.parts["state"].seconds(self.origin)
 
     def of(self, quantity: Quantity) -> Estimated:
-        """Return what is known of a quantity."""
+        """Return the estimates, bounds and truth of a quantity."""
         return self._estimated[quantity.key]
 
     @cached_property
@@ -152,8 +152,8 @@ class RecordedRun:
 def read_series(source: BagSource, asked: Mapping[str, tuple[str, Wanted]]) -> dict[str, Series]:
     """Read numbers of topics of JointStates, all in one pass and up to any damage.
 
-    `asked` has full names of topics, each with groups of places. If a message has entries of
-    several groups, the last of these is read. Messages without any do not count.
+    `asked` has full names of topics, each with groups of numbers to read. If a message has entries
+    of several groups, the last of these groups is read. Messages without any entry are left out.
 
     Raises:
         BagReadError: The bag has no such topic, or a topic is of another type.
@@ -173,13 +173,13 @@ def read_series(source: BagSource, asked: Mapping[str, tuple[str, Wanted]]) -> d
 def recorded_parts(
     source: BagSource, place: int, observer: str = "", learnt: tuple[str, ...] = ()
 ) -> dict[str, Series]:
-    """Return what a bag, whose designs are known, has of a joint, by the parts of a run.
+    """Return the parts of a run that a bag, whose designs are known, has for a joint, by name.
 
-    That is the measurements in the order of recording, the truth and, with the name of an observer
-    and of what it learns, its estimates.
+    These are the measurements in the order of recording, the truth and, if `observer` names one,
+    its estimates; `learnt` has the names of its learnt parameters.
     """
     joint, own, samples = source.joints[place], source.signals[place], source.samples
-    # Health and parameters of a joint that is alone are in entries of other names.
+    # The entries of health and parameters have other names if the joint is alone.
     each = [
         places_of(joint, own, alone=alone, learnt=learnt, rated=False) for alone in (True, False)
     ]
@@ -226,7 +226,7 @@ def read_run(
 
 
 def diagnostics(source: BagSource) -> Iterator[RecordedStatus]:
-    """Yield the recorded statuses of the observer that are of a source's only joint."""
+    """Yield the observer's recorded statuses for a source's only joint."""
     topic = source.reader.topics.get("/diagnostics")
     node = f"{source.namespace}/observer".strip("/")
     if topic is None or topic.type != "diagnostic_msgs/msg/DiagnosticArray":
@@ -236,7 +236,7 @@ def diagnostics(source: BagSource) -> Iterator[RecordedStatus]:
     for message in source.reader.messages([topic.name]):
         if mark not in message.data:
             continue
-        with suppress(Exception):  # any node publishes there, whatever it likes
+        with suppress(Exception):  # any node may publish anything there
             array = decode(message.data)
             stamp = array.header.stamp.sec * NANOSECONDS + array.header.stamp.nanosec
             for each in array.status:
@@ -253,29 +253,29 @@ def run_of(
     request: ArmRequest | TSRequest,
     topic: str = "",
 ) -> RecordedRun:
-    """Return the run with the longest pass of estimates, and what is nearest to it.
+    """Return the run of the longest pass of estimates, with the nearest pass of each other part.
 
-    A looped bag has several passes over the recorded time. There have to be rows of the states.
+    A looped bag has several passes over the recorded time. The part `state` must have rows.
     """
     each = {
         key: [part.take(slice(*ends)) for ends in passes(part.stamps) if ends[0] < ends[1]]
         for key, part in found.items()
     }
     longest = max(each["state"], key=lambda one: float(np.ptp(one.stamps)))
-    # Each topic restarts at its own moment, but all of them at about the same.
+    # Each topic restarts at its own moment, but these moments are close together.
     near = {
         key: min(own, key=lambda one: abs(one.log_times[0] - longest.log_times[0]))
         for key, own in each.items()
         if own
     }
     if "health" in near and np.isnan(near["health"].values[:, CLAIMED]).any():
-        del near["health"]  # of version 0.7, which had other codes
+        del near["health"]  # from version 0.7, which had other codes
     parts = {key: one if key == "measurements" else one.ordered() for key, one in near.items()}
     return RecordedRun(name, joint, parts, topic, len(each["state"]), request)
 
 
 def align(series: Series, stamps: Stamps) -> Array:
-    """Return the values that have exactly these stamps, NaN if there is none, (m, k)."""
+    """Return the values at exactly these stamps, NaN if there is none, shape (m, k)."""
     source = series.ordered()
     if np.array_equal(source.stamps, stamps):
         return source.values
@@ -286,11 +286,11 @@ def align(series: Series, stamps: Stamps) -> Array:
 
 
 def interpolate(series: Series, stamps: Stamps) -> Array:
-    """Return values between their samples, NaN outside of them and in gaps, shape (m, k).
+    """Return values interpolated between samples, NaN outside of them and in gaps, shape (m, k).
 
-    They follow the cubic that has the values and slopes of both neighbours, whose slopes are those
-    to their own neighbours. Of a smooth motion a value is off by at most h³/24 max|q⃛|: 10⁻⁶ rad
-    for the elastic-joint arm at h = 5 ms.
+    The interpolant is the cubic with the values and slopes of both neighbouring samples; the slope
+    at a sample is taken from its own neighbours. For a smooth motion, the error is at most
+    h³/24 max|q⃛|: 10⁻⁶ rad for the elastic-joint arm at h = 5 ms.
     """
     if np.array_equal(series.stamps, stamps):
         return series.values
@@ -319,7 +319,7 @@ def interpolate(series: Series, stamps: Stamps) -> Array:
 
 
 def hold(series: Series, stamps: Stamps) -> Array:
-    """Return the newest value at or before each stamp, NaN if it is older than a gap, (m, k).
+    """Return the newest value at or before each stamp, NaN if it is older than `MAX_GAP`, (m, k).
 
     A disturbance may jump, so nothing is assumed between its samples.
     """

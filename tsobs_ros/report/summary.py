@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How a run went, in plain words."""
+"""A verdict on a run, in plain words."""
 
 import math
 from collections.abc import Iterable
@@ -12,16 +12,16 @@ from tsobs_ros.report.diagnosed import Diagnosed
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
 from tsobs_ros.report.panels import TimingSummary
 
-# Of errors inside 3 sigma: as many as the bound implies for any distribution, and too few.
+# Shares of errors inside 3 sigma: a good one, and the least for any distribution with this 1σ.
 _INSIDE, _TOO_FEW = 0.99, 8.0 / 9.0
 _EXPECTED = (0.5, 2.0)
 _MANY_LOST = 0.01
 _CLAIMED = 0.4
-"""Share of bounds that have to be claimed in a good run: a start and a jump of 20 s leave more."""
+"""Share of bounds that must be claimed in a good run: a start and a jump of 20 s leave more."""
 
 
 class Summary(NamedTuple):
-    """How a run went: how well, and in plain words."""
+    """The verdict on a run: its level and its text."""
 
     level: Level
     text: str
@@ -35,7 +35,7 @@ def summarise(
     events: Iterable[JointEvent] = (),
     until: float = math.inf,
 ) -> Summary:
-    """Return how a run went, by its errors if they are known, else by its innovations.
+    """Return the verdict on a run, by its errors if they are known, else by its innovations.
 
     A silence after the last measurement, `until` [ns], is no fault of the run.
     """
@@ -109,5 +109,5 @@ def _warn_if(wrong: bool) -> Level:
 
 
 def _percent(share: float) -> str:
-    # Downwards, so that nearly all is not all.
+    # Rounded down, so that nearly all is not shown as 100 %.
     return f"{int(1000.0 * share) / 10.0:g} %"

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated plant: a pure, deterministic machine that is stepped by sample index.
 
-Sample k belongs to the time k/rate. A step measures at that time, then moves the plant on to the
-next sample with its inputs held. No clock is read: the same scenario, seed and inputs give the
-same numbers, to the bit, for one plant and for a batch, sample by sample and many at a time.
+Sample k is at the time k/rate. A step measures at that time, then moves the plant on to the next
+sample with its inputs held. No clock is read: the same scenario, seed and inputs give the same
+numbers, to the bit, for one plant or a batch, sample by sample or many samples at a time.
 
-The true motion, that observers are judged by, is by the classical fourth-order Runge–Kutta method
-in steps of at most 1 ms, with inputs held from a sample to the next. That keeps the undriven arm's
-energy to 1e-10 over a minute: its error is far below any noise.
+The true motion, against which observers are judged, is integrated by the classical fourth-order
+Runge–Kutta method in steps of at most 1 ms, with inputs held between samples. The method keeps the
+undriven arm's energy to 1e-10 over a minute, so its error is far below any noise.
 """
 
 import math
@@ -34,7 +34,7 @@ from tsobs_ros.simulation.streams import AngleDelay, RandomStream, Source, Torqu
 _LONGEST_SUBSTEP = 1e-3
 _STANDARD_GRAVITY = 9.80665
 _BLOCK = 2**16
-"""Samples of all runs that are moved at a time, so that the memory stays bounded."""
+"""Number of samples, over all runs, that are moved at a time, so that memory stays bounded."""
 
 
 def _change(what: str) -> float:
@@ -72,7 +72,7 @@ class Friction(Numbers, kind="friction"):
 
 @dataclass(frozen=True)
 class Payload(Numbers, kind="payload"):
-    """What the link carries for a time; its speed does not jump as it is put on."""
+    """A payload on the link for a time; the link's speed does not jump when it is put on."""
 
     link_inertia: float = setting(
         0.0, "Inertia that it adds to the link's", unit="kg m^2", minimum=0.0
@@ -98,9 +98,9 @@ class Payload(Numbers, kind="payload"):
 
 
 class TorqueDisturbance(NamedTuple):
-    """Torques on motor and link beside the drive's [N m], such as that of a contact.
+    """Torques on motor and link besides the drive's [N m], such as those of a contact.
 
-    Each is the sum of its components, held from a sample to the next.
+    Each is the sum of its components, held from one sample to the next.
     """
 
     motor: tuple[Signal, ...] = ()
@@ -110,10 +110,10 @@ class TorqueDisturbance(NamedTuple):
 class Motion:
     """The plants of a batch at a rate [Hz], which differ in their states and random numbers.
 
-    There is white noise of some densities on derivatives of states. `sizes`, but for n, and
+    The derivatives of the states have white noise of the given densities. `sizes`, without n, and
     `numbers` are those of the plant's record in core/simulate.h. `states` are the present ones,
-    shape (runs, n). `fed_back` are the places of the inputs that are measurements, each with the
-    number of its output and that one's row of C.
+    shape (runs, n). `fed_back` has the places of the inputs that are measurements, each with the
+    number of its output and that output's row of C.
     """
 
     fed_back: tuple[tuple[int, int, Array], ...] = ()
@@ -142,9 +142,9 @@ class Motion:
     def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
         """Move on over samples from an index on; return states and true values of the outputs.
 
-        Inputs have the shape (runs, samples, m), scheduled signals among them. The disturbing
+        Inputs, including scheduled signals, have the shape (runs, samples, m). The disturbing
         torques, shape (runs, samples, 2), are overwritten with those that an undisturbed arm would
-        need to move so.
+        need for the same motion.
         """
         shape = inputs.shape[:2]
         states = np.empty((*shape, self._sizes[0]))
@@ -178,7 +178,7 @@ class ArmMotion(Motion):
 
 
 def _arm_numbers(scenario: "Scenario", more_inertia: float, more_torque: float) -> list[float]:
-    """Return the numbers of the true arm with a payload, as the compiled core has them."""
+    """Return the numbers of the true arm with a payload, in the form of the compiled core."""
     true, friction = scenario.true_arm, scenario.friction
     j1, j2 = true.link_inertia + more_inertia, true.motor_inertia
     return [
@@ -200,17 +200,17 @@ def _arm_numbers(scenario: "Scenario", more_inertia: float, more_torque: float) 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlantScenario:
-    """A plant, what moves it and what its outputs measure.
+    """A plant with its inputs and its measured outputs.
 
     Attributes:
         rate: Samples per second [Hz].
-        duration: How long a run is [s].
-        outputs: What measures each output, p of them.
+        duration: Length of a run [s].
+        outputs: The p measured outputs.
         inputs: Signals of the inputs, then of the scheduled signals, in the absence of a command.
         fed_back: For each scheduled signal, the number of the output whose last finite measurement
             it is; None for an independent signal.
         torque_disturbance: Signals of the disturbance of each torque.
-        torque_error: What the first reported input has beyond the applied one [N m], added up.
+        torque_error: Signals whose sum is the error of the first input as reported [N m].
         torque: How the commanded first input, which is the reported one, reaches the plant.
     """
 
@@ -233,12 +233,12 @@ class PlantScenario:
         raise NotImplementedError
 
     def to_design(self, physical: Array) -> Array:
-        """Return states in the coordinates of designs, of an arm the nominal one's, (..., n)."""
+        """Return states in design coordinates, for an arm those of the nominal one, (..., n)."""
         return physical
 
     @property
     def input_count(self) -> int:
-        """Number of inputs, which can be commanded."""
+        """Number of inputs that can be commanded."""
         return len(self.inputs) - len(self.fed_back)
 
     @property
@@ -252,18 +252,18 @@ class Scenario(PlantScenario):
     """An arm: its input is the motor's torque [N m], its outputs are some of `QUANTITIES`.
 
     Attributes:
-        arm: The nominal arm, the one an estimator knows.
-        mismatch: How the true arm differs from it.
-        friction: What the true arm has in addition.
-        payload: What the link carries for a time.
+        arm: The nominal arm, which an estimator knows.
+        mismatch: Relative differences of the true arm.
+        friction: Friction that only the true arm has.
+        payload: A payload that the link carries for a time.
         backlash: Play of the true arm's gear [rad], half of it to either side.
         initial_state: Mean of x(0) in the nominal arm's design coordinates.
         initial_spread: 1σ of x(0) in the same coordinates.
         process_noise: Densities of white noise on both accelerations.
 
     Raises:
-        ModelError: A number is not finite, of the wrong sign, a state has not four entries, or an
-            output is unknown or listed twice.
+        ModelError: A number is not finite or has the wrong sign, a state does not have four
+            entries, or an output is unknown or listed twice.
     """
 
     arm: ElasticJointArm = field(default_factory=ElasticJointArm)
@@ -308,7 +308,7 @@ class SystemScenario(PlantScenario):
     """A T–S system, ẋ = Σ hᵢ(z)((Aᵢ + ΔAᵢ)x + (Bᵢ + ΔBᵢ)u), y = Σ hᵢ(z) Cᵢx, in the model's units.
 
     Attributes:
-        model: The nominal system, the one an estimator knows.
+        model: The nominal system, which an estimator knows.
         true_rates: [Aᵢ Bᵢ] of the true system's rules, shape (r, n, n + m).
         process_noise: Densities of white noise on each state's derivative, shape (n,).
         initial_state: x(0), shape (n,); zero if None.
@@ -360,24 +360,24 @@ class SystemScenario(PlantScenario):
 
 
 class Trajectories(NamedTuple):
-    """A batch of runs; without the first axis a single one, without the second a single sample.
+    """A batch of runs; without the first axis a single run, without the second a single sample.
 
-    Shapes are those of an arm; a T–S system has n states, m inputs and then s scheduled signals,
-    no torques, and `physical` is `states`.
+    Shapes are those of an arm. A T–S system has n states, m inputs and then s scheduled signals,
+    but no torque disturbances, and its `physical` is `states`.
 
     Attributes:
         times: k/rate, since the start [s], shape (samples,).
         states: True states in the nominal arm's design coordinates, shape (runs, samples, 4).
         disturbances: Measurement minus truth, without the effects of delay, latency, noise and
-            outliers, shape (runs, samples, p). Of a stuck sensor it is the frozen value minus the
-            true one; if the output has a delay, minus the true one before that delay.
+            outliers, shape (runs, samples, p). For a stuck sensor, the frozen value minus the true
+            one or, if the output has a delay, minus the true one that delay earlier.
         measurements: y, NaN if lost, shape (runs, samples, p).
-        torques: Torque reported from each sample to the next [N m]: the one commanded, and its
+        torques: Torque reported from each sample to the next [N m]: the commanded one plus its
             error, shape (runs, samples, 1).
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
         torque_disturbances: Torques on motor and link that the true arm, with its mismatch but
-            without friction, payload and backlash, would need beside the reported one to accelerate
-            as it does, random accelerations aside, shape (runs, samples, 2) [N m].
+            without friction, payload and backlash, would need besides the reported one to
+            accelerate alike, except for random accelerations, shape (runs, samples, 2) [N m].
     """
 
     times: Array
@@ -392,10 +392,10 @@ class Trajectories(NamedTuple):
 class Plant:
     """A plant with its inputs, its sensors and everything random about them.
 
-    A sequence of seeds is for a batch of runs, each the same as the single plant with its seed.
+    A sequence of seeds gives a batch of runs, each equal to a single plant with the same seed.
 
     Attributes:
-        scenario: As given, or as exchanged.
+        scenario: The scenario as given, or as exchanged.
         index: Index of the sample that the next step returns.
 
     Raises:
@@ -417,13 +417,13 @@ class Plant:
         self.exchange(scenario)
         self._held = np.zeros((len(runs), len(self._outputs)))
         self._path = TorqueDelay(scenario.torque, rate)
-        # The error of a report takes the same path in estimators.
+        # In estimators the error of a reported torque takes the same path.
         self._error_path = TorqueDelay(replace(scenario.torque, offset=0.0), rate)
 
     def exchange(self, scenario: PlantScenario) -> None:
         """Go on with the signals and sensors of another scenario of the same plant.
 
-        The time of a disturbance that differs, its start included, counts from the next sample; the
+        The time of a changed disturbance, including its start, counts from the next sample; the
         time of inputs goes on.
         """
         self.scenario = scenario
@@ -434,9 +434,9 @@ class Plant:
         self._error.exchange(scenario.torque_error, self.index)
 
     def step(self, torque: ArrayLike | None = None) -> Trajectories:
-        """Measure at the present sample, move on to the next one and return the former.
+        """Measure at the present sample, move on to the next one, and return the present one.
 
-        A torque, as that of `run` without the axis of the samples, takes the excitations' place.
+        A torque, as in `run` but without the axis of the samples, replaces the excitations.
         """
         given = torque if torque is None or np.ndim(torque) == 0 else np.expand_dims(torque, -2)
         times, *arrays = self.run(1, given)
@@ -444,10 +444,10 @@ class Plant:
 
     @np.errstate(all="ignore")  # a number may be too large for a sine
     def run(self, samples: int, torque: ArrayLike | None = None) -> Trajectories:
-        """Step many times and return all samples; other threads of Python can run meanwhile.
+        """Step many times and return all samples; other Python threads can run meanwhile.
 
         Everything is kept: 104 bytes per run and sample of an arm with one output. A torque [N m],
-        or inputs of a T–S system, takes the excitations' place: a number, shape (samples, m) or
+        or the inputs of a T–S system, replace the excitations: a number, shape (samples, m) or
         (runs, samples, m).
 
         Raises:
@@ -489,7 +489,7 @@ class Plant:
             torques[..., side] = disturbance.values(start, shape[1])
         measured = {}
         for place, number, row in motion.fed_back:
-            # Term by term: a product of matrices has other last bits for another number of runs.
+            # Term by term, since the last bits of a matrix product depend on the number of runs.
             truth = np.add.accumulate(row * motion.states, axis=1)[:, -1:]
             measured[number] = self._outputs[number].measure(start, truth)
             value = measured[number][1][:, 0]

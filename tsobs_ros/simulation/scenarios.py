@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The scenarios that observers are compared on, and Monte Carlo runs of them."""
+"""The scenarios on which observers are compared, and Monte Carlo runs of them."""
 
 import math
 from collections.abc import Sequence
@@ -25,9 +25,9 @@ _PLAIN = Scenario()
 
 
 def arm_with(*parts: Any, **others: Any) -> Scenario:
-    """Return the plain scenario with other parts, each put in its place by its type.
+    """Return the plain scenario with some parts replaced, each by its type.
 
-    A sensor and signals are the link angle's, which alone is measured.
+    A sensor and signals belong to the link angle, the only measured output.
     """
     signals = tuple(part for part in parts if isinstance(part, Signal))
     placed = {part.kind: part for part in parts if part not in signals}
@@ -36,7 +36,7 @@ def arm_with(*parts: Any, **others: Any) -> Scenario:
 
 
 def _correlated(pole: float) -> Sensor:
-    """Return a sensor with coloured noise of the same variance, by its pole."""
+    """Return a sensor with coloured noise of the same variance and a given pole."""
     return Sensor(noise_time_constant=-1.0 / (_PLAIN.rate * math.log(pole)))
 
 
@@ -49,12 +49,12 @@ def _held(angle: float) -> Scenario:
 
 
 def _hits(speed: float, start: float, interval: float) -> Pulses:
-    """Return a torque of one sample, now and then, that changes the link's speed [rad/s]."""
+    """Return torque pulses of one sample each, which change the link's speed [rad/s]."""
     return Pulses(_PLAIN.arm.link_inertia * speed * _PLAIN.rate, start, 1 / _PLAIN.rate, interval)
 
 
 def _walk(density: float) -> GaussMarkov:
-    """Return a drift that is a random walk over a minute, by its density [rad²/s]."""
+    """Return a drift that over a minute is a random walk of a given density [rad²/s]."""
     time = 1000.0
     return GaussMarkov(math.sqrt(0.5 * density * time), time)
 
@@ -82,7 +82,7 @@ SCENARIOS: dict[str, Scenario] = {
     "soft_heavy_bias_step": arm_with(Mismatch(stiffness=-0.2, gravity_torque=0.2), _STEP),
     "outliers": arm_with(Sensor(outlier_probability=0.01)),
     "dropouts": arm_with(Sensor(dropout_interval=10.0)),
-    # The world is not as designed, in ways that an observer has to cope with.
+    # Deviations from the design that an observer has to cope with.
     "loud": arm_with(Sensor(3.0 * _SIGMA)),
     "stiff_loud_1.5": arm_with(_STIFF, _LOUDER),
     "stiff_loud_2": arm_with(_STIFF, _LOUD),
@@ -111,7 +111,7 @@ SCENARIOS: dict[str, Scenario] = {
         )
         for size in (10.0, 50.0, 200.0, 1000.0)
     },
-    # The model is wrong in ways that are not learnt.
+    # Errors of the model that are not learnt.
     "slight_friction": arm_with(_SLIGHT),
     "friction": arm_with(_FRICTION),
     "link_friction": arm_with(Friction(link_viscous=0.1, link_coulomb=0.05)),
@@ -119,14 +119,14 @@ SCENARIOS: dict[str, Scenario] = {
     "late_10ms": arm_with(Sensor(latency=0.01)),
     "late_20ms": arm_with(Sensor(latency=0.02)),
     "payload": arm_with(Mismatch(link_inertia=0.2, gravity_torque=0.2)),
-    # A sensor that oscillates by so many rad at so many rad/s, of which no design knows.
+    # A sensor that oscillates, with size [rad] and frequency [rad/s]; no design models it.
     **{
         f"tone_{size}_{frequency:g}": arm_with(Sinusoid(size, frequency, 2.0))
         for size, frequencies in _TONES.items()
         for frequency in frequencies
     },
     "tone_pair": arm_with(Sinusoid(0.1, 2.0, 2.0), Sinusoid(0.08, 7.0, 2.0)),
-    # Drifts, inertias, payloads and play of the gear; other rates and motions; mixtures of three.
+    # Drifts, inertias, payloads and backlash; other rates and motions; mixtures of three effects.
     "wander": arm_with(_walk(1e-4)),
     "wander_3": arm_with(_walk(3e-4)),
     "light_link": arm_with(Mismatch(link_inertia=-0.1)),
@@ -161,14 +161,14 @@ SCENARIOS |= {
         "backlash_0.03", "missing", "half_rate", "near_rest", "tone_pair", "stuck", "hits",
     )
 }  # fmt: skip
-"""All by name, one minute each at 200 Hz with u = sin t unless they say otherwise; "stiff" is +20 %
+"""All by name, a minute each at 200 Hz with u = sin t unless specified otherwise; "stiff" is +20 %
 stiffness, "soft_heavy" −20 % stiffness and +20 % gravity. docs/acceptance.md describes them."""
 
 
 def simulate(
     scenario: Scenario, seeds: Sequence[int], duration: float | None = None
 ) -> Trajectories:
-    """Run a scenario once for each seed, all runs at once; `duration` [s] replaces its own.
+    """Run a scenario once per seed, all runs together; `duration` [s] replaces the scenario's.
 
     Raises:
         ModelError: A seed or the duration is negative, or there is no seed.

@@ -24,10 +24,10 @@ class Sensor(Numbers, kind="sensor"):
     """Numbers of a sensor; the default noise is Example 3's 5 % of the largest angle.
 
     Units are those of an angle; a sensor of another output has that output's unit in place of rad.
-    Dropouts and bursts begin after one interval. A disturbance is not late with the latency.
+    Dropouts and bursts begin after one interval. The latency does not delay a disturbance.
     """
 
-    noise_std: float = 0.028  # of a sample [rad]; no setting, as designs know it
+    noise_std: float = 0.028  # of a sample [rad]; not a setting, because designs have it
     outlier_probability: float = live_setting(
         0.0, "Probability that a sample is an outlier", minimum=0.0, maximum=1.0
     )
@@ -70,7 +70,7 @@ def sensor_numbers(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return some numbers of a sensor, given as plain data.
 
     Raises:
-        DesignFileError: A name is unknown, or a value is no number.
+        DesignFileError: A name is unknown, or a value is not a number.
         ModelError: A number is out of range.
     """
     sensor = decode(entry, Sensor)
@@ -82,12 +82,12 @@ class SimulatedOutput:
     """A measured output of a plant.
 
     Attributes:
-        measures: What: link_angle, link_velocity, motor_angle or motor_velocity (rad, rad/s); the
-            name of a T–S system's output.
+        measures: The quantity: link_angle, link_velocity, motor_angle or motor_velocity (rad,
+            rad/s), or the name of a T–S system's output.
         sensor: Its noise, outliers and dropouts.
         disturbance: Components of its disturbance, added up.
-        delay: How late an arm's angle is measured as a design says [s]; `Sensor.latency` is what a
-            design lacks. It is not rounded to samples: the true motion is interpolated.
+        delay: Delay of an arm's angle that designs model [s], unlike `Sensor.latency`. It is not
+            rounded to samples, because the true motion is interpolated.
     """
 
     measures: str = QUANTITIES[0]
@@ -100,9 +100,9 @@ class SimulatedOutput:
 
 
 class Disturbance:
-    """The disturbance of an output or a torque by its number, in every run of a batch.
+    """The disturbance of the output or torque of a given number, in every run of a batch.
 
-    Its signals come by `exchange`, also the first ones.
+    `exchange` sets its signals, also the first ones.
     """
 
     def __init__(self, seeds: Sequence[int], rate: float, source: Source, number: int) -> None:
@@ -111,11 +111,11 @@ class Disturbance:
         self._generation = 0
 
     def exchange(self, signals: Sequence[Signal], index: int) -> None:
-        """Have other signals, whose time counts from a sample on, unless they are the same."""
+        """Set other signals, whose time counts from a sample on; equal signals change nothing."""
         if self._signals == tuple(signals):
             return
         self._signals, self._begin = tuple(signals), index
-        # What the sensor is stuck at.
+        # The value at which the sensor is stuck.
         self.frozen: Array | None = None
         # The stream and the present values of every drift.
         self._drifts = []
@@ -141,7 +141,7 @@ class Disturbance:
         return values
 
     def stuck(self, start: int, samples: int) -> Flags:
-        """Return at which samples a signal holds the measured value, shape (samples,)."""
+        """Return for each sample whether a signal holds the measured value, shape (samples,)."""
         times = self._times(start, samples)
         holds = [each.holds(times) for each in self._signals or () if isinstance(each, StuckSensor)]
         return np.asarray(np.any([np.zeros(samples, np.bool_), *holds], axis=0))
@@ -152,7 +152,7 @@ class Disturbance:
 
 
 class Output:
-    """An output by its number, in every run of a batch; what it is comes by `exchange`."""
+    """The output of a given number, in every run of a batch; `exchange` sets its properties."""
 
     def __init__(self, seeds: Sequence[int], rate: float, number: int) -> None:
         self._disturbance = Disturbance(seeds, rate, Source.DISTURBANCE, number)
@@ -163,14 +163,14 @@ class Output:
         self._last = np.zeros(len(seeds))
 
     def exchange(self, asked: SimulatedOutput, index: int) -> None:
-        """Have another sensor and disturbance; see `Disturbance.exchange`.
+        """Set another sensor and disturbance; see `Disturbance.exchange`.
 
-        With another latency, older values than the next one are not known; the next one is taken.
+        With another latency, values before the next one are unknown; the next one stands for them.
         """
         sensor = asked.sensor
         degrees, latency = sensor.noise_degrees, round(sensor.latency * self._rate)
         if degrees != self._sensor.noise_degrees:
-            # Of Student's t, with as many numbers a sample as its degrees of freedom.
+            # For Student's t, with as many numbers per sample as degrees of freedom.
             self._tail = RandomStream(self._seeds, Source.TAIL, degrees, self._number)
         if latency != self._past.length:
             self._past = Past(latency)
@@ -178,9 +178,9 @@ class Output:
         self._disturbance.exchange(asked.disturbance, index)
 
     def measure(self, start: int, truth: Array) -> tuple[Array, Array]:
-        """Return what measurements have beyond the truth, and the measurements, NaN if lost.
+        """Return the disturbance of the measurements, and the measurements, NaN if lost.
 
-        The true values are of the samples from an index on, shape (runs, samples).
+        The true values are those of the samples from an index on, shape (runs, samples).
         """
         sensor, samples = self._sensor, truth.shape[1]
         times = np.arange(start, start + samples) / self._rate
@@ -206,7 +206,7 @@ class Output:
             rounded = sensor.resolution * np.floor(values / sensor.resolution + 0.5)
             values = np.where(np.isfinite(values), rounded, values)
         lost = _is_within(times, sensor.dropout_interval, sensor.dropout_duration)
-        if sensor.loss_probability > 0.0:  # by the numbers that make outliers, from the other end
+        if sensor.loss_probability > 0.0:  # by the outliers' random numbers, from their upper end
             lost = lost | (luck >= 1.0 - sensor.loss_probability)
         return added, np.where(lost, np.nan, values)
 
@@ -220,7 +220,7 @@ class Output:
             noise /= np.sqrt(total / sensor.noise_degrees)
         if sensor.noise_time_constant > 0.0:
             first, period = 0, 1.0 / self._rate
-            if start == 0:  # the first one is stationary already
+            if start == 0:  # the first value is stationary already
                 first, last[:] = 1, noise[:, 0]
             noise[:, first:] = _moved(last, noise[:, first:], period, sensor.noise_time_constant)
         else:

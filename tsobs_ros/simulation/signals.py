@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signals over time: the inputs of simulated plants, and disturbances of outputs and torques.
 
-The time of an input's signal counts from the plant's start. A disturbance is a sum of signals, and
-its time counts from the moment it is put in, which is the plant's start unless it is exchanged
-while the plant runs. The unit of a disturbance's values is that of what it is added to: rad of an
-angle, N m of a torque.
+The time of an input's signal counts from the plant's start. A disturbance is a sum of signals. Its
+time counts from the moment when it is set, which is the plant's start unless it is exchanged while
+the plant runs. A disturbance has the unit of the quantity to which it is added: rad for an angle,
+N m for a torque.
 
-`EXCITATIONS` and `KINDS` are the tables of all signals. Their numbers are settings: the simulator's
-parameters, and by `signal_of` the entries of campaigns and the arguments of the API.
+`EXCITATIONS` and `KINDS` are the tables of all signals. Their numbers are settings: parameters of
+the simulator and, by `signal_of`, entries of campaigns and arguments of the API.
 """
 
 import math
@@ -27,7 +27,7 @@ from tsobs_ros.settings import check, live_setting
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers of something simulated, of a kind that errors name.
+    """The numbers of a simulated component; errors name its kind.
 
     Raises:
         ModelError: A number is out of range.
@@ -44,7 +44,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Signal(Numbers, kind="none"):
-    """A value over time: 0, unless a subclass, such as one of the user's, has other values."""
+    """A value over time: 0, unless a subclass, which may be a user's own, has other values."""
 
     def values(self, times: Array) -> Array:
         """Return the values at times [s], shape (samples,)."""
@@ -54,11 +54,11 @@ class Signal(Numbers, kind="none"):
 def signal_of(kinds: Mapping[str, type[Signal]], entry: object) -> Any:
     """Return the signal that an entry describes: a kind, or a mapping of `kind` and its numbers.
 
-    Kinds are `EXCITATIONS` or `KINDS`. Numbers that are left out have their defaults.
+    Kinds are `EXCITATIONS` or `KINDS`. Omitted numbers have their defaults.
 
     Raises:
         ModelError: The kind is unknown, or a number is out of range.
-        DesignFileError: A number's name is unknown, or its value is no number.
+        DesignFileError: A number's name is unknown, or its value is not a number.
 
     >>> signal_of(KINDS, {"kind": "ramp", "rate": 0.5})
     Ramp(rate=0.5, start=0.0)
@@ -123,7 +123,7 @@ class Multisine(Signal, kind="multisine"):
 
 @dataclass(frozen=True)
 class Square(Signal, kind="square"):
-    """Alternately +a and −a, half a period 2π/ω each, + first."""
+    """Alternately +a and −a, each for half a period 2π/ω, +a first."""
 
     amplitude: float = live_setting(1.0, "Amplitude", unit="N m")
     frequency: float = live_setting(1.0, "Frequency", unit="rad/s", minimum=0.0)
@@ -165,7 +165,7 @@ class BiasStep(Signal, kind="bias_step"):
 
 @dataclass(frozen=True)
 class Sinusoid(Signal, kind="sinusoid"):
-    """d = a sin(ω(t − start) + φ) from the start on; as Example 2's first fault."""
+    """d = a sin(ω(t − start) + φ) from the start on, like the first fault of Example 2."""
 
     amplitude: float = live_setting(0.2, "Amplitude")
     frequency: float = live_setting(3.0, "Frequency", unit="rad/s")
@@ -204,7 +204,7 @@ class GaussMarkov(Signal, kind="gauss_markov"):
 
 @dataclass(frozen=True)
 class StuckSensor(Signal, kind="stuck"):
-    """The measured value freezes at the start and stays for a while; it adds nothing."""
+    """The measured value freezes at the start and stays for a while; the signal adds nothing."""
 
     start: float = _start()
     duration: float = live_setting(1.0, "How long; 0: for ever", unit="s", minimum=0.0)
@@ -233,12 +233,12 @@ class Pulses(Signal, kind="pulses"):
 EXCITATIONS: Mapping[str, type[Signal]] = {
     each.kind: each for each in (Signal, Constant, Sine, Multisine, Square, Chirp)
 }
-"""Every kind of signal of an input under its name."""
+"""Every kind of signal of an input by its name."""
 
 KINDS: Mapping[str, type[Signal]] = {
     each.kind: each for each in (BiasStep, Sinusoid, Ramp, GaussMarkov, StuckSensor, Pulses)
 }
-"""Every kind of signal that a disturbance is a sum of, under its name."""
+"""Every kind of signal in the sum of a disturbance, by its name."""
 
 
 def parse_kinds(kinds: str) -> tuple[str, ...]:
@@ -258,7 +258,7 @@ def parse_kinds(kinds: str) -> tuple[str, ...]:
 
 
 def recurs(times: Array, duration: float, interval: float) -> Flags:
-    """Return whether times [s] are in the first seconds of an interval, or of time itself if 0."""
-    # The margin keeps a sample that lies on a border on its side, whatever % rounds to.
+    """Return whether times [s] are in the first `duration` of each interval, or of time if 0."""
+    # The margin keeps a sample on a border on its side, regardless of the rounding in %.
     since = times + 1e-9
     return (since >= 0.0) & ((since % interval if interval > 0.0 else since) < duration)

@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a batch of simulated runs draws and remembers: random numbers, past values, delays.
+"""Random numbers, past values and delays of a batch of simulated runs.
 
-There is one independent, reproducible stream of random numbers for each source and each run. The
-streams of one seed are distinguished by a key, not by the order in which they were made, so that
-switching one source on, off or to another size leaves the numbers of all others as they were.
+There is one independent, reproducible stream of random numbers for each source and each run. A key
+distinguishes the streams of one seed, not the order in which they were made. So switching one
+source on, off or to another size does not change the numbers of the others.
 """
 
 import enum
@@ -18,7 +18,7 @@ from tsobs_ros.model.arm import TorquePath
 
 
 class Source(enum.IntEnum):
-    """What a stream is for; the numbers are part of every seed's meaning and never change."""
+    """The purpose of a stream; the codes are part of the meaning of every seed and never change."""
 
     INITIAL_STATE = 0
     PROCESS = 1
@@ -45,7 +45,7 @@ class RandomStream:
         self._draws = [each.random if uniform else each.standard_normal for each in generators]
 
     def take(self, *shape: int) -> Array:
-        """Return the next numbers, shape (runs, *shape); how many at a time does not matter."""
+        """Return the next numbers, shape (runs, *shape), the same for any size of blocks."""
         block = np.empty((len(self._draws), *shape))
         for draw, row in zip(self._draws, block, strict=True):
             draw(out=row)
@@ -60,7 +60,7 @@ class Past:
         self.values: Array | None = None
 
     def joined(self, values: Array) -> Array:
-        """Return the next values behind those that are kept; before the first it was the same."""
+        """Return the kept values and then the next ones; before the first, values were constant."""
         if self.values is None:
             self.values = np.repeat(values[:, :1], self.length, axis=1)
         known = np.concatenate([self.values, values], axis=1)
@@ -79,8 +79,8 @@ class TorqueDelay:
     def through(self, commands: Array) -> Array:
         """Return the mean torque at the motor from each sample to the next, shape (runs, samples).
 
-        Commands are of the samples that follow those of the last call, of the same shape. Each is
-        held for a period; the first one is taken to have been there always.
+        The commands, of the same shape, are those of the samples after the last call. Each is held
+        for a period; the first one is assumed to have been in force always.
         """
         samples, known = commands.shape[1], self._past.joined(commands)
         older, newer = known[:, :samples], known[:, 1 : samples + 1]
@@ -89,10 +89,10 @@ class TorqueDelay:
 
 
 class AngleDelay:
-    """Measured states of an arm, angles as they were some time ago.
+    """Measured states of an arm, with delayed angles.
 
-    Delays say by the place of what is measured in a state how late it is [s]. Only an angle may be
-    late; its velocity is the next state.
+    `delays` has the delay [s] of each measured state by its place. Only an angle may be late; its
+    velocity is the next state.
     """
 
     def __init__(self, delays: Mapping[int, float], rate: float) -> None:
@@ -101,9 +101,9 @@ class AngleDelay:
         self._past = Past(max(whole + (share > 0.0) for whole, share in self._cuts.values()))
 
     def measured(self, states: Array) -> Array:
-        """Return the measured values of samples that follow those of the last call.
+        """Return the measured values of the samples after the last call.
 
-        Before the first one, angles moved at its velocities.
+        Before the first sample, the angles are assumed to have moved at its velocities.
         """
         samples, past, T = states.shape[1], self._past, self._period
         if past.values is None:
@@ -127,8 +127,8 @@ class AngleDelay:
 
 
 def _cut(delay: float, rate: float) -> tuple[int, float]:
-    """Return a delay [s] in whole periods and the share of another one."""
+    """Return a delay [s] as whole periods and a fraction of another one."""
     periods = delay * rate
-    # A whole number of periods must stay one, whatever the product rounds to.
+    # A whole number of periods must stay whole, however the product is rounded.
     whole = math.floor(periods + 1e-9)
     return whole, max(0.0, periods - whole)

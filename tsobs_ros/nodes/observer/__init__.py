@@ -2,20 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `observer` node: measurements in, estimates with bounds out at a fixed rate.
 
-It estimates angles and velocities of link and motor of each joint, the sensors' disturbances and
-the torque of a contact, as its design says; or the states of a T-S system.
+Depending on the design, it estimates for each joint the angles and velocities of link and motor,
+the sensors' disturbances and the torque of a contact, or the states of a T-S system.
 
 topics, sensor_msgs/msg/JointState without another type:
   joint_measurements (in)      position: measured angle of the link [rad], 0 hanging down, or
-                               velocity [rad/s]; of <joint>_motor too, if both sides are measured;
-                               effort: torque of the motor from the stamp on [N m];
-                               of a T-S system: position of each output and input, by its name
+                               velocity [rad/s]; also of <joint>_motor if both sides are measured;
+                               effort: motor torque from the stamp on [N m];
+                               for a T-S system: position of each output and input, by its name
   ~/joint_states (out)         <joint>_link and <joint>_motor [rad, rad/s]
   ~/error_bound (out)          1 sigma bound of each
   ~/disturbance (out)          disturbance of the sensor [rad] and its rate [rad/s]
   ~/disturbance_bound (out)    1 sigma bound of the disturbance
-  ~/torque_disturbance (out)   effort: torque at <joint>_motor and <joint>_link that the design has
-                               a model of, in addition to the known one [N m]
+  ~/torque_disturbance (out)   effort: torque in addition to the known one at <joint>_motor and
+                               <joint>_link, as far as the design models it [N m]
   ~/torque_disturbance_bound (out)
                                1 sigma bound of each
   ~/parameters_estimate (out)  learnt changes of the parameters that the design calls uncertain
@@ -23,13 +23,13 @@ topics, sensor_msgs/msg/JointState without another type:
   ~/innovation (out)           measured minus expected value of each output in use
   ~/restarts (out)             number of restarts; latched
   ~/design (out)               std_msgs/msg/String: design and parameters, as JSON; latched
-  ~/health (out)               what the estimates are worth, ten times a second
-  ~/ticks (out)                std_msgs/msg/Int64MultiArray: which measurements each estimate has
-  /diagnostics (out)           diagnostic_msgs/msg/DiagnosticArray, once a second
+  ~/health (out)               quality of the estimates, ten times per second
+  ~/ticks (out)                std_msgs/msg/Int64MultiArray: the measurements behind each estimate
+  /diagnostics (out)           diagnostic_msgs/msg/DiagnosticArray, once per second
 
 services:
-  ~/reset                      std_srvs/srv/Trigger: start as a new observer
-  ~/enable                     std_srvs/srv/SetBool: whether anything is published
+  ~/reset                      std_srvs/srv/Trigger: restart as a new observer
+  ~/enable                     std_srvs/srv/SetBool: switch the estimates on or off
 """
 
 import time
@@ -61,21 +61,21 @@ from tsobs_ros.replay.samples import MeasurementReader
 from tsobs_ros.settings import settings_of, values_of
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
+"""Sensor data with room for a second of samples, as the queue is emptied only once per tick."""
 
-# A tick reads the queue for at most this share of its period, and at most this time [s]. The rest
-# of half a period is for the estimation. Unread messages stay in the queue.
+# A tick reads the queue for at most this share of its period and at most this time [s], which
+# leaves the rest of half a period for the estimation. Unread messages stay in the queue.
 _MAX_SHARE = 0.4
 _MAX_BACKLOG = 0.05
-# What one node can do [Hz]; a design may be for more.
+# The highest rate of one node [Hz]; a design may have a higher one.
 _FASTEST = 2000.0
 
 
 class Observer(ManagedNode[ObserverParameters]):
     """Runs the certified observers of one or several independent joints.
 
-    Configuring loads the designs and re-checks their certificates, activating starts to estimate,
-    each time from nothing. While the node is inactive, what arrives is thrown away.
+    Configuring loads the designs and re-checks their certificates. Each activation starts the
+    estimation from nothing. While the node is inactive, it discards new measurements.
 
     Attributes:
         joints: The joints with their trackers and counts.
@@ -90,7 +90,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._last_now = self._last_output = 0
         self._newest = b""
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
-        # That of the design, as its `rate` is that of the measurements; of several the fastest.
+        # The default is the rate of measurements in the design, the fastest one of several designs.
         own = max(joint.design.request.rate for joint in self.joints)
         self._rate = parameters.rate or min(own, _FASTEST)
         self._meter = TickMeter(self._rate)
@@ -112,7 +112,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self.offer_triggers({"reset": self._on_reset})
         self.create_service(SetBool, "~/enable", self._on_enable)
         self._ticker = Ticker(self, 1.0 / self._rate, self._work)
-        # Only an executor notices arrivals.
+        # Only an executor calls back on arrival, so it has to make the ticks too.
         self.ticker = None if at_once else self._ticker
         for joint in self.joints:
             design = f"design {joint.design.file} ({identity(joint.design)})"
@@ -122,7 +122,7 @@ class Observer(ManagedNode[ObserverParameters]):
             self.log(Level.WARN, text)
 
     def activate(self) -> None:
-        """Start to estimate from what comes from now on."""
+        """Start to estimate from the measurements that arrive from now on."""
         self._measurements.discard()
         self._publish_record()
         self._restart("activated again" if self._resets >= 0 else "")
@@ -139,7 +139,7 @@ class Observer(ManagedNode[ObserverParameters]):
             self.log(event.level, f"{joint.name}: {event.text}")
 
     def _work(self, *, is_tick: bool = True) -> None:
-        """Take what has come, and publish: at a tick, else if any of it was used."""
+        """Take new measurements, then publish: always at a tick, else only if any was used."""
         if self.active and (now := self._now()) is not None:
             self._meter.begin(now, tick=is_tick)
             used = self._take_all(now)
@@ -148,7 +148,7 @@ class Observer(ManagedNode[ObserverParameters]):
             self._meter.end()
 
     def _now(self) -> int | None:
-        """Return the time, None before simulated time begins; restart if it went back."""
+        """Return the time, or None before simulated time begins; restart if the clock went back."""
         now = int(self.get_clock().now().nanoseconds)
         if now == 0:
             return None
@@ -159,7 +159,7 @@ class Observer(ManagedNode[ObserverParameters]):
         return now
 
     def _take_all(self, now: int) -> bool:
-        """Take what has arrived, as much as there is time for; return whether any was used."""
+        """Take as many new measurements as time permits; return whether any was used."""
         until = time.monotonic() + min(_MAX_SHARE / self._rate, _MAX_BACKLOG)
         taken = self._measurements.drain(until=until)
         if not taken or not self._enabled:
@@ -186,7 +186,7 @@ class Observer(ManagedNode[ObserverParameters]):
         return len(used) > 0
 
     def _publish(self, now: int, *, wanted: bool) -> bool:
-        """Publish the estimates for the present; return whether there were any."""
+        """Publish estimates for the present time; return whether there were any."""
         if not self._enabled:
             return False
         joints = self.joints if wanted and now > self._last_output else ()
@@ -204,7 +204,7 @@ class Observer(ManagedNode[ObserverParameters]):
         return bool(estimates)
 
     def _restart(self, why: str) -> None:
-        """Reset everything that is computed from data; the counts are those of a new node."""
+        """Reset everything that is computed from data, including the counts of the joints."""
         if why and self.is_due("restart"):
             self.log(Level.WARN, f"restarting: {why}")
         for joint in self.joints:
@@ -227,7 +227,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._record.publish(String(data=text))
 
     def _on_reset(self) -> str:
-        # What was received before the reset must not be used after it.
+        # Messages received before the reset must not be used after it.
         self._measurements.discard()
         self._restart("reset service")
         return "restarted"

@@ -25,12 +25,12 @@ from tsobs_ros.schema import naming
 from tsobs_ros.series import NANOSECONDS, Stamps
 
 FAILURES = "numerical failures"
-"""Name of the count of them."""
+"""Name of the count of numerical failures."""
 
 _ACCEPTED = (USED, RejectReason.GATED, RejectReason.IMPLAUSIBLE_TORQUE, RejectReason.UNKNOWN_INPUT)
-# For how many seconds measurements must come at another rate before that is worth a word.
+# Time for which measurements must come at another rate before this is logged [s].
 _LASTING = 3.0
-# Bounds beyond which a torque is no chance.
+# Number of 1σ bounds beyond which a torque disturbance is significant.
 _SIGNIFICANT = 3.0
 
 
@@ -42,13 +42,13 @@ class ObservedJoint:
         learnt: Names of the learnt parameters.
         received: Number of its samples since the start: used + rejected.
         latest: The latest estimate, None before the first.
-        recent: Counts over the last minute: `received`, the reasons of rejection, `FAILURES` and
+        recent: Counts over the last minute: `received`, the reasons for rejection, `FAILURES` and
             the estimator's events.
-        newly: The same since the counts before, a second or so.
-        measured_rate: Samples a second in use, by the median of their stamps' distances [Hz]; NaN
-            if there are few.
-        torque_sides: Where there is a torque disturbance, the motor before the link.
-        touched: Whether the last of these was a contact since the latest status.
+        newly: The same counts since the previous call of `count`, about a second ago.
+        measured_rate: Rate of the samples that the estimator gets, from the median distance of
+            their stamps [Hz]; NaN before there are enough.
+        torque_sides: The sides with a torque disturbance, the motor before the link.
+        touched: Whether the last of these sides had a contact since the latest status.
     """
 
     def __init__(
@@ -112,14 +112,14 @@ class ObservedJoint:
         """Use the samples of N messages, and count those that cannot be used.
 
         Args:
-            stamps: In ascending order [ns], shape (N,).
-            y: Measured outputs, NaN of those that are missing, shape (N, p).
+            stamps: Stamps in ascending order [ns], shape (N,).
+            y: Measured outputs, NaN for missing ones, shape (N, p).
             u: Inputs, shape (N, m).
-            codes: Those of `Batch`, shape (N,); of samples the outcomes are written.
+            codes: Codes as in `Batch`, shape (N,); outcomes replace those of samples.
             now: Time on the node's clock [ns].
 
         Returns:
-            The innovations y − ŷ, NaN of an output that was not used, shape (N, p).
+            The innovations y − ŷ, NaN for an output that was not used, shape (N, p).
         """
         given = codes == USED
         innovations = np.full(y.shape, math.nan)
@@ -134,7 +134,7 @@ class ObservedJoint:
         return innovations
 
     def count(self) -> list[Event]:
-        """Count what has come in the last second; return what to log of its rate."""
+        """Update the counts of the last second; return events about the measurements' rate."""
         own = {"received": self.received, FAILURES: self.tracker.failures}
         self.newly = self.recent.update({**own, **self.tracker.rejected, **self.tracker.events})
         rate, self._stamps = health.rate_of(self._stamps), []
@@ -148,9 +148,9 @@ class ObservedJoint:
         return self.events.changes[EventKind.RATE].report(stamp, off, judged, _LASTING)
 
     def estimate(self, now: int) -> Estimate | None:
-        """Return the estimate to publish at a time [ns]; of a stale joint as the parameters say."""
+        """Return the estimate to publish at a time [ns]; `when_stale` decides for a stale joint."""
         if self.phase(now) in (Phase.WAITING, Phase.STALE):
-            # To predict through a long silence would take long, and tell nothing.
+            # A prediction through a long silence would take long and contain no information.
             held = self.latest if self._parameters.when_stale == "hold" else None
             nothing = np.zeros(0)
             return held and held._replace(
@@ -167,13 +167,13 @@ class ObservedJoint:
         return estimate
 
     def news(self, now: int, estimate: Estimate | None, due: bool) -> list[Event]:
-        """Return what is to be logged of the estimate for a time [ns]; `due`: as is its health."""
-        if estimate is None or estimate.stamp != now:  # held
+        """Return the events to log for a time [ns]; `due`: whether its health is published."""
+        if estimate is None or estimate.stamp != now:  # none, or held
             return self.events.silence(now)
         return self._contacts(estimate) + (self.events.update(estimate) if due else [])
 
     def _contacts(self, estimate: Estimate) -> list[Event]:
-        """Compare the link's torque, the motor's if there is no other, with its level."""
+        """Compare the torque at the link, or else at the motor, with its warning level."""
         torques, bounds = estimate.torque_disturbance, estimate.torque_disturbance_bound
         if not (self.torque_warn and torques.size):
             return []
@@ -185,7 +185,7 @@ class ObservedJoint:
         return changes.report(estimate.stamp, beyond, judged, lasting)
 
     def torque_text(self, estimate: Estimate, beyond: bool) -> str:
-        """Return an estimate's torque in words, and whether it is beyond its level."""
+        """Return an estimate's torque in words, with a remark if it is beyond the warning level."""
         torque, bound = estimate.torque_disturbance[-1], estimate.torque_disturbance_bound[-1]
         text = f"{torque:.3g} N m (1 sigma {bound:.2g}) at the {self.torque_sides[-1]}"
         return text + beyond * f", beyond {self.torque_warn:g} N m: a contact, a payload?"
@@ -194,7 +194,7 @@ class ObservedJoint:
 def observed_joints(
     parameters: ObserverParameters, source: str = "joint_measurements"
 ) -> list[ObservedJoint]:
-    """Return the joints that the parameters name; those with the same design share estimators.
+    """Return the joints that the parameters name; joints with the same design share an estimator.
 
     Raises:
         DesignFileError: A design file is missing or malformed, or the method cannot run it.

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the observer publishes: estimates, innovations and ticks, on topics as those of a replay."""
+"""The observer's output: estimates, innovations and ticks, on the same topics as a replay's."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -23,8 +23,8 @@ _RESTARTS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class EstimatePublisher:
     """Publishes estimates, innovations and ticks under the node's private names.
 
-    There are topics of torque disturbances and of learnt parameters only if there are any. The
-    topic of ticks is reliable, as a lost message would leave it open what the estimates include.
+    Topics of torque disturbances and learnt parameters exist only if a joint has any. The topic of
+    ticks is reliable, as after a lost message nobody could tell what the estimates include.
     """
 
     def __init__(
@@ -52,10 +52,10 @@ class EstimatePublisher:
         self._slow_since = -topics.SLOW_PERIOD
 
     def publish(self, stamp: int, estimates: Mapping[int, Estimate]) -> bool:
-        """Publish estimates of joints, by index, at a stamp [ns]; what they lack is left out.
+        """Publish estimates at a stamp [ns], by index of the joint; return whether health was due.
 
-        A tick with measurements or estimates is published before. One that is held, of an earlier
-        time, is none. Return whether health was due.
+        Quantities that an estimate lacks are left out. If there are measurements or new estimates,
+        their tick is published first; a held estimate, of an earlier time, is not new.
         """
         fresh = {joint: each for joint, each in estimates.items() if each.stamp == stamp}
         if self._taken or fresh:
@@ -63,7 +63,7 @@ class EstimatePublisher:
             if self._ticks.get_subscription_count():
                 self._ticks.publish(encode_tick(stamp, self._tick, bool(fresh), self._taken))
             self._taken.clear()
-        # Stamps may have gone back.
+        # The stamps may have gone back.
         is_due = bool(fresh) and not 0 <= stamp - self._slow_since < topics.SLOW_PERIOD
         if is_due:
             self._slow_since = stamp
@@ -79,9 +79,9 @@ class EstimatePublisher:
         return is_due
 
     def publish_innovations(self, stamps: Stamps, innovations: Array) -> None:
-        """Publish y − ŷ of N messages, stamped as they are [ns].
+        """Publish y − ŷ of N messages under the stamps of these messages [ns].
 
-        They are of all joints' outputs in turn, NaN of those not used, shape (N, outputs).
+        Columns are the outputs of all joints in turn, NaN if not used, shape (N, outputs).
         """
         if self._innovation.publisher.get_subscription_count():
             for stamp, values in zip(stamps.tolist(), innovations.tolist(), strict=True):
@@ -89,7 +89,7 @@ class EstimatePublisher:
                 self._innovation.publish(stamp, rows)
 
     def publish_restart(self, stamp: int, number: int) -> None:
-        """Publish at a stamp [ns] how many restarts there have been; ticks count from 1 again."""
+        """Publish the number of restarts at a stamp [ns]; the numbers of ticks begin at 1 again."""
         self._tick, self._taken = 0, []
         self._restarts.publish(stamp, dict.fromkeys(range(self._count), (float(number),)))
 
@@ -99,7 +99,7 @@ class EstimatePublisher:
 
 
 def _rows(topic: str, estimates: Mapping[int, Estimate]) -> dict[int, list[float]]:
-    """Return a topic's numbers of those joints that have any."""
+    """Return a topic's numbers by index of the joint, without joints that have none."""
     rows = {}
     for joint, each in estimates.items():
         row = [number for field in ESTIMATES[topic] for number in getattr(each, field).tolist()]

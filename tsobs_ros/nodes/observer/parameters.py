@@ -14,7 +14,7 @@ from tsobs_ros.settings import MIN_RATE, live_setting, setting
 
 @dataclass(frozen=True)
 class ObserverParameters(ObserverSettings, JointParameters):
-    """All parameters of the observer node: the settings of its observers, and these."""
+    """All parameters of the observer node: the settings of its observers, and its own."""
 
     rate: float = setting(
         0.0,
@@ -47,8 +47,8 @@ class ObserverParameters(ObserverSettings, JointParameters):
     fault: DisturbanceLimits = field(default_factory=DisturbanceLimits)
     torque_warn: tuple[float, ...] = live_setting(
         (),
-        "Torque disturbance from which on each joint's is a warning, 0 for never; a single number: "
-        "of all joints; none: never",
+        "Torque disturbance that causes a warning, for each joint, 0 for never; a single number: "
+        "for all joints; none: never",
         unit="N m",
         minimum=0.0,
         maximum=1e6,
@@ -73,7 +73,7 @@ class ObserverParameters(ObserverSettings, JointParameters):
 
     @property
     def torque_warn_of(self) -> dict[str, float]:
-        """Torque disturbance for a warning of each joint [N m], 0 for never."""
+        """Torque disturbance that causes a warning, for each joint [N m]; 0 for never."""
         levels = self.torque_warn or (0.0,)
         if len(levels) == 1:
             levels *= len(self.joints)

@@ -18,7 +18,7 @@ from tsobs_ros.nodes.observer.joints import FAILURES, ObservedJoint
 
 _MANY_REJECTED = 0.01
 _MANY_MISSED = 0.05
-# The clock has jumped if it went back, or ahead by over this [ns] and this many times too fast.
+# A jump of the clock: back, or ahead by over this [ns] and over this multiple of steady time.
 _JUMP = 1_000_000_000
 _FASTEST = 100
 
@@ -26,7 +26,7 @@ _FASTEST = 100
 def statuses_of(
     joints: Sequence[ObservedJoint], timing: Status, now: int, *, resets: int, enabled: bool
 ) -> list[Status]:
-    """Return the statuses of the node at a time [ns], and of its joints, by name if several."""
+    """Return the node's and its joints' statuses at a time [ns], with joint names if several."""
     each = [_joint_statuses(joint, now) for joint in joints]
     state = max((own[0] for own in each), key=lambda status: status.level)
     state = state._replace(values={"resets": str(resets), **state.values})
@@ -111,7 +111,7 @@ def _measurement_status(joint: ObservedJoint) -> Status:
 
 
 def _innovation_status(joint: ObservedJoint) -> Status:
-    """Return how large the noise is, and what was found in the last minute."""
+    """Return the scale of the noise, and the events of the last minute."""
     level, message, values = Level.OK, "consistent with the design", dict[str, str]()
     if (estimate := joint.latest) is not None:
         values["noise scale"] = f"{estimate.noise_scale:.3f}"
@@ -125,7 +125,7 @@ def _innovation_status(joint: ObservedJoint) -> Status:
 
 
 def _torque_statuses(joint: ObservedJoint) -> list[Status]:
-    """Return the torques, a warning if there was a contact since the last time."""
+    """Return the torques, with a warning if there was a contact since the last call."""
     sides, estimate, values = joint.torque_sides, joint.latest, dict[str, str]()
     if not sides:
         return []
@@ -141,7 +141,7 @@ def _torque_statuses(joint: ObservedJoint) -> list[Status]:
 
 
 def _domain_status(joint: ObservedJoint) -> Status:
-    """Return whether the certificate covers the premise; that of a T–S system is no angle."""
+    """Return whether the certificate covers the premise, which is an angle only for an arm."""
     request, estimate = joint.request, joint.latest
     level, values = Level.OK, dict[str, str]()
     if not isinstance(request, ArmRequest):
@@ -182,12 +182,12 @@ def _certificate_status(joint: ObservedJoint, now: int) -> Status:
 
 
 class TickMeter:
-    """Measures how regular ticks are and how long they take; `status` starts a new interval."""
+    """Measures the regularity and the duration of ticks; each `status` starts a new interval."""
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
         self._missed = self._ticks = 0
-        # Of the latest work: the time, the steady time, and whether a tick started it.
+        # Start of the latest work: the time, the steady time, and whether a tick started it.
         self._latest: tuple[int, int, bool] | None = None
         self._periods: list[int] = []
         self._between_ticks: list[int] = []
@@ -195,7 +195,7 @@ class TickMeter:
         self._recent = LastMinute()
 
     def begin(self, now: int, *, tick: bool = True) -> None:
-        """Note the start of work at a time [ns]; ticks are missed only between two of them."""
+        """Note the start of work at a time [ns]; missed ticks count only between two ticks."""
         steady = time.monotonic_ns()
         if self._latest is not None:
             before, began, was_tick = self._latest
@@ -220,7 +220,7 @@ class TickMeter:
         self._latest = None
 
     def status(self) -> Status:
-        """Return rate, tick time and latency since the last call, a second ago."""
+        """Return rate, tick time and latency since the last call, about a second ago."""
         periods, self._periods = self._periods, []
         apart, self._between_ticks = self._between_ticks, []
         times, self._times = self._times, {name: [] for name in self._times}

@@ -1,18 +1,18 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `plant_simulator` node: arms or T-S systems to try an observer on, and the truth about them.
+"""The `plant_simulator` node: arms or T-S systems to test an observer on, and their ground truth.
 
 topics, sensor_msgs/msg/JointState without another type:
   joint_measurements (out)         position: measured angle of the link [rad], 0 hanging down, or
-                                   what else the joint's design file has as outputs;
-                                   effort: torque of the motor from the stamp on [N m]
+                                   the outputs that the joint's design file has instead;
+                                   effort: motor torque from the stamp on [N m]
   ground_truth/joint_states (out)  true <joint>_link and <joint>_motor [rad, rad/s]
-  ground_truth/disturbance (out)   what the sensor adds to the angle, white noise excepted [rad]
+  ground_truth/disturbance (out)   disturbance of the measured angle, without white noise [rad]
   ground_truth/torque_disturbance (out)
-                                   effort: what <joint>_motor and <joint>_link get beside the
-                                   known torque: contact, friction, payload [N m]
+                                   effort: torque on <joint>_motor and <joint>_link in addition to
+                                   the known one: contact, friction, payload [N m]
   joint_torque_command (in)        std_msgs/msg/Float64MultiArray: torque in place of `excitation`
-                                   [N m], one number a joint
+                                   [N m], one number per joint
   /clock (out)                     rosgraph_msgs/msg/Clock, with `publish_clock`
 
 services:
@@ -52,27 +52,27 @@ from tsobs_ros.nodes.wire import (
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Plant, Scenario, Trajectories
 
-# A process that was stopped for longer does not flood its subscribers when it goes on.
+# A process that was stopped for longer must not flood its subscribers when it continues.
 _LONGEST_LAG = NANOSECONDS
 # The system clock may be slewed a little; simulated time never goes back unless it restarts.
 _SLEW_MARGIN = NANOSECONDS
 # Driven time starts here: a zero stamp means "no time" to most of ROS.
 _DRIVEN_START = NANOSECONDS
-# Without a callback the first tick, and so t = 0, would come with the message after the jump.
+# Without this callback, the first tick, and thus t = 0, would come one message after the jump.
 _BACKWARD = JumpThreshold(
     min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
 )
-# Seeds of the joints lie apart, so that no joint repeats another one at a later seed.
+# Distance between the joints' seeds, so that no joint repeats another's numbers at a later seed.
 SEED_STEP = 2**32
 _ACKNOWLEDGE_TIMEOUT = 1.0
-# What can change while a plant runs.
+# The parts of a scenario that can change while a plant runs.
 _SIGNALS = attrgetter("inputs", "outputs", "torque_disturbance", "torque_error")
 
 
 class TorqueCommands:
-    """The torque commands of a node, each of which holds for some time.
+    """The torque commands of a node; each of them holds for `command_timeout`.
 
-    A command has a number for each arm, and for each input of a T–S system, in the joints' order.
+    A command has one number per arm and per input of a T–S system, in the order of the joints.
     """
 
     def __init__(self, node: ManagedNode[PlantSimulatorParameters]) -> None:
@@ -86,12 +86,12 @@ class TorqueCommands:
         self.forget()
 
     def forget(self) -> None:
-        """Let no command hold."""
+        """Drop the command that holds."""
         self._torques: list[Array] = []
         self._end = 0.0
 
     def take(self, sample: int) -> None:
-        """Take what has arrived, to hold from a sample on."""
+        """Take the commands that have arrived; the last one holds from the given sample on."""
         given, count = self._node.parameters, len(self._is_arm)
         for message, _ in self.subscription.drain():
             torques = np.array(message.data)
@@ -111,20 +111,20 @@ class TorqueCommands:
             self._end = sample + (held if given.command_timeout > 0.0 else math.inf)
 
     def at(self, sample: int) -> list[Array] | list[None]:
-        """Return each joint's inputs commanded at a sample, None without a command."""
+        """Return the commanded inputs of each joint at a sample, None without a command."""
         return self._torques if sample < self._end else [None] * len(self._counts)
 
 
 class SamplePublisher:
-    """Publishes samples as messages, each of all joints, such as `measurements`."""
+    """Publishes the measurements and the truth of samples, with all joints in each message."""
 
     def __init__(self, node: ManagedNode[PlantSimulatorParameters]) -> None:
         requests = node.parameters.requests
         joints = [
             request.signals(joint, alone=len(requests) == 1) for joint, request in requests.items()
         ]
-        # Outputs last: of an output that is an input too, a lost value shall be NaN. A reliable
-        # publisher suits all usual subscribers; only this one is asked about mismatches.
+        # Outputs come last, so a lost value of an output that is an input too is NaN. Only this
+        # publisher warns of unsuitable subscribers: reliable ones such as the others suit all.
         self.measurements = JointStatePublisher(
             node,
             "joint_measurements",
@@ -151,7 +151,7 @@ class SamplePublisher:
             for topic, (of, parts) in truths.items()
             if any(parts)
         ]
-        # The last truth reaches its subscribers.
+        # Wait until the subscribers have the last truth.
         publishers = [truth.publisher for _, truth in self._truths]
         node.at_cleanup(wait_until_taken, publishers, _ACKNOWLEDGE_TIMEOUT)
         self._clock: Any = None
@@ -173,19 +173,19 @@ class SamplePublisher:
 
 
 class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
-    """Publishes the simulated sensor, the truth behind it and, if asked, the time.
+    """Publishes simulated measurements, the truth behind them and, on request, the time.
 
-    Configuring makes the arm, activating lets its time run. While the node is inactive the arm
-    stands still in time; the next activation goes on from there, with stamps of the present.
+    Configuring creates the plant, activating starts its time. While the node is inactive, this time
+    stands still; the next activation continues from there, with stamps of the present.
 
-    The simulation decides every number, the node only when to publish it: all samples that are due
-    are published, late or not, so a run's data do not depend on how the process was scheduled. Time
-    comes from the system clock, from an external /clock (use_sim_time), or from the node itself,
-    which then publishes /clock (publish_clock) ahead of each sample.
+    The simulation determines every number, the node only when it is published. All samples that are
+    due are published, even late, so a run's data do not depend on how the process was scheduled.
+    Time comes from the system clock, from an external /clock (use_sim_time), or from the node
+    itself, which then publishes /clock (publish_clock) ahead of each sample.
     """
 
     def configure(self) -> None:
-        """Make the arm at t = 0 with its topics and services."""
+        """Create the plant at t = 0, its topics and its services."""
         parameters = self.parameters
         self._publish_sample = SamplePublisher(self)
         self._commands = TorqueCommands(self)
@@ -202,8 +202,8 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self.at_cleanup(jumps.unregister)
         self._new_plant()
         self._latest = 0
-        # A timer on the node's clock wakes up with each /clock message; only then does it serve,
-        # since a system clock that is set back would stop it.
+        # A timer on the node's clock wakes up with each /clock message. Without /clock, however, it
+        # would stop if the system clock were set back.
         self.ticker = Ticker(
             self,
             1.0 / parameters.sample_rate,
@@ -212,8 +212,8 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         )
 
     def activate(self) -> None:
-        """Start sampling, or go on, as soon as there are a time and the wanted subscribers."""
-        self._commands.subscription.discard()  # what arrived was meant for an arm that stood still
+        """Start or continue sampling as soon as there are a time and the wanted subscribers."""
+        self._commands.subscription.discard()  # earlier ones were for a plant that stood still
         self._activated, self._runs = time.monotonic(), False
         if self._now_ns() == 0:
             self.log(Level.OK, "waiting for /clock")
@@ -229,19 +229,19 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         return self._plants[0].index
 
     def _now_ns(self) -> int:
-        """Return the time that samples are stamped by [ns]; 0 before the first /clock."""
+        """Return the time to stamp samples with [ns]; 0 before the first /clock."""
         if self._driven is not None:
             return self._driven.at(time.monotonic_ns())
         return int(self.get_clock().now().nanoseconds)
 
     @property
     def _follows_clock(self) -> bool:
-        """Whether time is an external /clock."""
+        """Whether time comes from an external /clock."""
         return self._driven is None and bool(self.get_clock().ros_time_is_active)
 
     def _may_start(self) -> bool:
-        """Return whether the wanted subscribers are there, or the wait is over; if so, let time run
-        from the present on, or from where it stopped if it is the node's."""
+        """Return whether the wanted subscribers are there or the wait is over; if so, start time at
+        the present, or continue it where it stopped if the node drives it."""
         wanted = self.parameters.wait_for_subscribers
         there = self._publish_sample.measurements.publisher.get_subscription_count()
         is_over = 0.0 < self.parameters.wait_timeout <= time.monotonic() - self._activated
@@ -259,7 +259,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         return True
 
     def _tick(self, _jump: Any = None) -> int | None:
-        """Publish every sample that is due; return the time until the next one is [ns]."""
+        """Publish every sample that is due; return the time until the next one [ns]."""
         if not self.active or self.done or self._now_ns() == 0:
             return None
         if not (self._runs or self._may_start()):
@@ -283,7 +283,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         return math.ceil((self._schedule.due - self._now_ns()) / self._pace)
 
     def _limit_lag(self, now: int) -> int:
-        """Give up catching up after too long a stop; return the time to publish up to."""
+        """Return the time up to which to publish; after too long a stop, do not catch up."""
         lag = now - self._schedule.due
         if lag <= _LONGEST_LAG * max(1.0, self._pace):
             return now
@@ -301,16 +301,16 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._commands.forget()
 
     def retune(self, parameters: PlantSimulatorParameters) -> None:
-        """Take changed parameters over from the next sample on."""
+        """Apply changed parameters from the next sample on."""
         before = [_SIGNALS(plant.scenario) for plant in self._plants]
         for plant, scenario in zip(self._plants, parameters.scenarios.values(), strict=True):
             plant.exchange(scenario)
         if [_SIGNALS(plant.scenario) for plant in self._plants] != before:
             time = self._index / parameters.sample_rate
-            self.log(Level.OK, f"changed at t = {time:g} s, from which on new disturbances count")
+            self.log(Level.OK, f"changed at t = {time:g} s; new disturbances count from there")
 
     def _reset(self) -> str:
-        """Restart the plant at the next sample; the stamps go on."""
+        """Restart the plant at the next sample; the stamps continue."""
         self._new_plant()
         if self.done and self.active:
             self._schedule.start(self._now_ns())
@@ -321,7 +321,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
 
 def plants_of(parameters: PlantSimulatorParameters) -> list[Plant]:
-    """Return each joint's plant at t = 0; the numbers of one do not depend on the others."""
+    """Return each joint's plant at t = 0; its numbers do not depend on the other joints."""
     return [
         Plant(scenario, parameters.seed + place * SEED_STEP)
         for place, scenario in enumerate(parameters.scenarios.values())

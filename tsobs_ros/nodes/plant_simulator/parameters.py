@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the plant simulator node, and the scenarios they describe.
+"""Parameters of the plant simulator node, and the scenarios that they describe.
 
-A joint is what its design or request file says: its arm or T–S system, its outputs and their noise,
-its process noise.
+The design or request file of a joint describes its arm or T–S system, its outputs with their noise,
+and its process noise.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,10 +27,10 @@ from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Signal, parse_kinds
 from tsobs_ros.yaml_files import load_yaml
 
 Readers = Mapping[str, Callable[[Any], Any]]
-"""What an entry may name of one joint, each with the function that reads the entry's value."""
+"""Names that entries may use for one joint, each with the function that reads the value."""
 
 _SHIPPED_STATE = (0.3, 0.0, 0.2, 0.0)
-# A sample at a line's time gets this line's torque, whatever their last bits are [s].
+# A sample at a line's time gets this line's torque despite rounding errors up to this size [s].
 _LATE = 1e-6
 
 
@@ -38,7 +38,7 @@ _LATE = 1e-6
 class TorqueFile(Signal, kind="file"):
     """The torque of a CSV file with columns `time` and `torque`, held from line to line.
 
-    The first line belongs to t = 0; after the last one's time the torque is 0.
+    The first line belongs to t = 0; after the time of the last line, the torque is 0.
 
     Raises:
         ModelError: There is no path.
@@ -62,7 +62,7 @@ class TorqueFile(Signal, kind="file"):
 
 
 PLAYED: Mapping[str, type[Signal]] = {**EXCITATIONS, TorqueFile.kind: TorqueFile}
-"""Every kind of signal of an input that the node can play, under its name."""
+"""All kinds of input signals that the node can play, by name."""
 
 
 def _kinds(name: str, kind: str, kinds: Mapping[str, type[Signal]], **others: str) -> type:
@@ -89,7 +89,7 @@ _EXCITATION = _kinds(
     EXCITATIONS,
     file=live_setting(
         "",
-        "CSV file of the kind file, such as that of tsobs excite: columns time [s] and torque "
+        "CSV file for the kind file, such as one of tsobs excite: columns time [s] and torque "
         "[N m], held from line to line; 0 after the last one",
     ),
 )
@@ -104,7 +104,7 @@ class PlantSimulatorParameters(JointParameters):
     """
 
     rate: float = setting(
-        0.0, "Samples a second; 0: the design's", unit="Hz", minimum=0.0, maximum=5000.0
+        0.0, "Samples per second; 0: the design's", unit="Hz", minimum=0.0, maximum=5000.0
     )
     seed: int = live_setting(0, "Seed of everything random, used from the next reset on", minimum=0)
     duration: float = setting(
@@ -114,7 +114,7 @@ class PlantSimulatorParameters(JointParameters):
         0, "Subscriptions of joint_measurements to wait for before t = 0", minimum=0
     )
     wait_timeout: float = setting(
-        10.0, "Longest wait for them, then start anyway; 0: no limit", unit="s", minimum=0.0
+        10.0, "Longest wait for subscribers, then start anyway; 0: no limit", unit="s", minimum=0.0
     )
     publish_clock: bool = setting(False, "Drive /clock with the simulated time")
     real_time_factor: float = setting(
@@ -136,13 +136,13 @@ class PlantSimulatorParameters(JointParameters):
     mismatch: Mismatch = field(default_factory=Mismatch)
     joint_mismatch: tuple[str, ...] = setting(
         (),
-        "Changes of single joints in place of `mismatch`, such as 'elbow/stiffness: 0.2'; of a T-S "
-        "system the true value of an uncertain parameter",
+        "Changes of single joints in place of `mismatch`, such as 'elbow/stiffness: 0.2'; for a "
+        "T-S system the true value of an uncertain parameter",
     )
     friction: Friction = field(default_factory=Friction)
     payload: Payload = field(default_factory=Payload)
     process_noise_factor: float = setting(
-        1.0, "What multiplies the designed densities of the process noise", minimum=0.0
+        1.0, "Factor on the designed densities of the process noise", minimum=0.0
     )
     excitation: Any = field(default_factory=_EXCITATION)
     disturbance: Any = field(default_factory=_DISTURBANCE)
@@ -153,7 +153,7 @@ class PlantSimulatorParameters(JointParameters):
         "sensors, such as 'elbow/motor_angle: {dropout_interval: 10.0}'",
     )
     noise_factor: float = live_setting(
-        1.0, "What multiplies the designed standard deviation of the noise", minimum=0.0
+        1.0, "Factor on the designed standard deviation of the noise", minimum=0.0
     )
     sensor: Sensor = field(default_factory=Sensor)
 
@@ -162,17 +162,17 @@ class PlantSimulatorParameters(JointParameters):
 
     @cached_property
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
-        """What describes each joint."""
+        """The request of each joint."""
         return self.read(request_in)
 
     @property
     def sample_rate(self) -> float:
-        """Samples a second of all joints [Hz]: `rate`, or the design's; of several the fastest."""
+        """Sample rate of all joints [Hz]: `rate`, or else the fastest rate of their designs."""
         return self.rate or max(request.rate for request in self.requests.values())
 
     @cached_property
     def scenarios(self) -> dict[str, Scenario | SystemScenario]:
-        """What the parameters describe, by joint.
+        """The scenarios that the parameters describe, by joint.
 
         Raises:
             ModelError: They do not describe a plant.
@@ -193,7 +193,7 @@ class PlantSimulatorParameters(JointParameters):
         signals: Mapping[str, list[Any]],
         state: tuple[float, ...],
     ) -> Scenario | SystemScenario:
-        """Return the scenario of one joint: that of its request, with what parameters change."""
+        """Return the scenario of one joint: its request's, with the changes by parameters."""
         mismatch = {name: each[-1] for name, each in changes.items()}
         others: dict[str, Any] = {"rate": self.sample_rate, "duration": self.duration}
         if isinstance(request, ArmRequest):
@@ -231,13 +231,13 @@ class PlantSimulatorParameters(JointParameters):
     def _by_joint(
         self, parameter: str, known: Callable[[ArmRequest | TSRequest], Readers]
     ) -> dict[str, dict[str, list[Any]]]:
-        """Return the values of a list parameter by joint and by what they are about.
+        """Return the values of a list parameter, by joint and by the name in the entry.
 
-        ROS parameters hold lists of texts only, so an entry is a line of YAML:
-        "elbow/motor_angle: {kind: ramp}"; without "elbow/" it is for all joints that have one.
+        A list in ROS parameters holds plain values only, so each entry is a line of YAML, such as
+        "elbow/motor_angle: {kind: ramp}"; without "elbow/" it is for all joints with this name.
 
         Raises:
-            ParameterError: An entry is malformed, or names none of them.
+            ParameterError: An entry is malformed, or no joint has its name.
         """
         readers = {joint: known(request) for joint, request in self.requests.items()}
         found: dict[str, dict[str, list[Any]]] = {joint: {} for joint in readers}
@@ -264,23 +264,23 @@ class PlantSimulatorParameters(JointParameters):
 
 
 def _signals(request: ArmRequest | TSRequest) -> Readers:
-    """Return what entries of `signals` may name of a joint."""
+    """Return the names that entries of `signals` may use for a joint."""
     known: dict[str, Callable[[Any], Any]] = {}
     known |= dict.fromkeys(request.input_names, partial(signal_of, PLAYED))
     if isinstance(request, ArmRequest):
         known |= dict.fromkeys([*TORQUES, EFFORT_ERROR], partial(signal_of, KINDS))
-    # The measured value of an output that is an input, too, is disturbed.
+    # If an output is an input too, an entry disturbs its measured value.
     return known | dict.fromkeys(request.output_names, _fault)
 
 
 def _fault(entry: Any) -> Any:
-    """Return a signal of an output, or numbers of its sensor, of an entry without a kind."""
+    """Return the signal of an output or, from an entry without a kind, its sensor's numbers."""
     is_sensor = isinstance(entry, dict) and "kind" not in entry
     return sensor_numbers(entry) if is_sensor else signal_of(KINDS, entry)
 
 
 def _changes(request: ArmRequest | TSRequest) -> Readers:
-    """Return what entries of `joint_mismatch` may name of a joint."""
+    """Return the names that entries of `joint_mismatch` may use for a joint."""
     is_arm = isinstance(request, ArmRequest)
     names = [e.name for e in fields(Mismatch)] if is_arm else request.uncertainty_model.names
     return dict.fromkeys(names, partial(finite, "value"))

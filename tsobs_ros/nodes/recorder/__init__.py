@@ -1,15 +1,15 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `recorder` node: topics into an MCAP bag, and an account of what was missed.
+"""The `recorder` node: topics into an MCAP bag, and counts of missed messages.
 
 topics:
-  those that its parameters select (in), else all
-  /diagnostics (out)  diagnostic_msgs/msg/DiagnosticArray: counts and losses, once a second
+  the topics that the parameters select (in), by default all
+  /diagnostics (out)  diagnostic_msgs/msg/DiagnosticArray: counts and losses, once per second
 
 services, std_srvs/srv/Trigger:
-  ~/pause             discard what arrives, unless it is latched
-  ~/resume            go on
-  ~/split_bagfile     go on in another file
+  ~/pause             discard new messages, unless they are latched
+  ~/resume            continue recording
+  ~/split_bagfile     continue in another file
 """
 
 import shutil
@@ -26,23 +26,23 @@ from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.recorder.topics import LossCounter, RecorderParameters, TopicFinder
 from tsobs_ros.nodes.runtime import Ticker
 
-# How often queues are emptied, and the graph is looked at [s].
+# Periods of emptying the queues, and of looking for topics in the ROS graph [s].
 _DRAIN_PERIOD, _GRAPH_PERIOD = 0.01, 0.1
 _MIB = 2**20
-# Free disk space at which to warn, as a multiple of that at which recording ends.
+# Free disk space at which to warn, as a multiple of `minimum_free_disk`.
 _FREE_DISK_WARNING = 2.0
 
 
 class Recorder(ManagedNode[RecorderParameters]):
     """Records into an MCAP bag as rosbag2 writes it, while it is active and not paused.
 
-    Its services are those of rosbag2's recorder by name, with a type that every installation has.
-    Configuring creates the bag and subscribes, activating records, deactivating pauses: what
-    arrives meanwhile is discarded. Cleaning up closes the bag.
+    Its services have the names of rosbag2's recorder, but a type that every installation has.
+    Configuring creates the bag and subscribes, activating records, deactivating pauses: new
+    messages are discarded, unless they are latched. Cleaning up closes the bag.
 
     Attributes:
         recording: The bag with its counts.
-        finder: The topics that are recorded, and that are missing.
+        finder: The recorded topics, and the missing ones.
     """
 
     def configure(self) -> None:
@@ -73,16 +73,16 @@ class Recorder(ManagedNode[RecorderParameters]):
         self.log(Level.OK, f"recording to {path}")
 
     def activate(self) -> None:
-        """Record what arrives from here on."""
+        """Record the messages that arrive from now on."""
         self._drain()
 
     def deactivate(self) -> None:
-        """Record what has arrived, and discard what arrives from here on."""
+        """Record the messages that have arrived, and discard later ones."""
         if not (self._paused or self._failed):
             self._take(is_recording=True)
 
     def _log_end(self) -> None:
-        """Log what the bag holds before it is closed."""
+        """Log the counts of the bag before it is closed."""
         unknown = len(self.loss_unknown)
         self.log(
             Level.OK,
@@ -112,7 +112,7 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     @property
     def earlier(self) -> int:
-        """The number of messages published before the first that arrived of each publisher."""
+        """The number of messages that publishers sent before their first one that arrived."""
         return sum(losses.earlier for losses in self._losses.values())
 
     @property
@@ -131,7 +131,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         return f"{self.recording.file_count} files"
 
     def _tick(self) -> None:
-        if not self.configured:  # a full disk ends that, and perhaps not yet the ticks
+        if not self.configured:  # a full disk causes a clean-up before the last tick
             return
         try:
             self._drain()
@@ -149,7 +149,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         try:
             self.recording.close()
         except BagWriteError:
-            if not self._failed:  # otherwise this has been reported, and is why it closes
+            if not self._failed:  # else it has been reported and caused this clean-up
                 raise
 
     def _look_for_topics(self) -> None:
@@ -163,14 +163,14 @@ class Recorder(ManagedNode[RecorderParameters]):
         self._take(is_recording=self.active and not self._paused)
 
     def _take(self, *, is_recording: bool) -> None:
-        """Record what has arrived; in a pause only what is latched."""
+        """Record the messages that have arrived, in a pause only latched ones."""
         clock = self.get_clock()
         now, is_simulated = clock.now().nanoseconds, clock.ros_time_is_active
         if now == 0:
             return  # no /clock yet: let messages wait rather than stamp them with 1970
         limit, recorded = self.parameters.queue_depth, self.finder.recorded.values()
         batch = [message for topic in recorded for message in topic.drain(limit)]
-        # Drained topic by topic, but readers of an unfinished file see it in file order.
+        # Topics are drained one by one, but an unfinished file is read in the order of writing.
         batch.sort(key=attrgetter("log_time_ns"))
         for message in batch:
             if is_simulated:

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of a recorder: parameters that select them, subscriptions, and what was missed."""
+"""The topics of a recorder: parameters that select them, subscriptions, and counts of losses."""
 
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -24,9 +24,9 @@ from tsobs_ros.nodes.wire import DrainedSubscription, message_class
 from tsobs_ros.settings import live_setting, setting
 
 _LATCHED, _RELIABLE = DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIABLE
-# The number of a topic's publishers shows that one came, but not that one took another's place.
+# A full look finds a publisher that replaced another, which the number of publishers hides.
 _POLLS_PER_FULL_LOOK = 10
-# Messages of a topic remembered at least, to recognise those that arrive by two subscriptions.
+# Least number of messages to remember per topic, to recognise those that arrive twice.
 _REMEMBERED = 5000
 
 
@@ -53,7 +53,7 @@ class RecorderParameters(SelectingParameters):
         0.5, "Age from which messages survive a kill", unit="s", minimum=0.01, maximum=10
     )
     sync_period: float = setting(
-        5.0, "Age from which they survive a power cut", unit="s", minimum=0.1
+        5.0, "Age from which messages survive a power cut", unit="s", minimum=0.1
     )
     queue_depth: int = setting(
         5000, "Messages of a topic that may wait to be drained", minimum=1, maximum=5000
@@ -68,12 +68,12 @@ class RecorderParameters(SelectingParameters):
 
 
 class LossCounter:
-    """Counts what a recorder has missed of a topic: numbers between two of the same publisher.
+    """Counts the messages of a topic that a recorder has missed, by gaps in a publisher's numbers.
 
-    The middleware gives the number of a message, but not its publisher. A gap is therefore a loss
-    only while the topic has one publisher; with several, losses are unknown. The first number that
-    arrives of a publisher shows how many messages it had sent before. What it sends after the last
-    that arrives leaves no trace.
+    The middleware gives the number of a message, but not its publisher. A gap therefore means a
+    loss only while the topic has one publisher; with several, losses are unknown. The first number
+    that arrives from a publisher shows how many messages it had sent before. Messages that are lost
+    after the last one that arrives leave no trace.
 
     >>> counter = LossCounter()
     >>> counter.add([7, 8, 11], lambda: frozenset({b"plant"}))
@@ -81,16 +81,16 @@ class LossCounter:
     '2 lost, 6 published before'
 
     Attributes:
-        earlier: The number of messages that publishers sent before the first that arrived of each.
+        earlier: The number of messages that publishers sent before their first one that arrived.
         lost: The number of messages known to be lost since then.
-        is_exact: False once these may be too small: the topic has had several publishers at a
+        is_exact: False once both may be too small: the topic has had several publishers at a
             time, or the middleware does not number messages.
     """
 
     def __init__(self) -> None:
         self.earlier = self.lost = 0
         self.is_exact = True
-        # Numbers begin at 1, so the first one is never the next one.
+        # Numbers begin at 1, so no first number equals this 0.
         self._next = 0
         self._publishers: frozenset[bytes] = frozenset()
         self._gone = False
@@ -102,11 +102,11 @@ class LossCounter:
         return f"at least {self.lost} lost" if self.lost else "losses unknown"
 
     def see(self, publishers: frozenset[bytes]) -> None:
-        """Take in who publishes the topic now; its queue has been emptied since the last call."""
+        """Note the present publishers; the queue has been emptied since the last call."""
         self.is_exact &= len(publishers) <= 1
         gone = not publishers & self._publishers
         if gone and self._gone:
-            self._next = 0  # all that it sent has been counted
+            self._next = 0  # all its messages have been counted
         self._gone = gone
 
     def add(
@@ -114,7 +114,7 @@ class LossCounter:
     ) -> None:
         """Take in the numbers of new messages in order of arrival; None from some middlewares.
 
-        Who publishes the topic now is asked for only if a number is not the next.
+        `current_publishers` is called only if a number is not the next one.
         """
         publishers: frozenset[bytes] | None = None
         for number in numbers:
@@ -142,14 +142,14 @@ class LossCounter:
 class RecordedTopic:
     """One topic being recorded.
 
-    There is a subscription for each kind of QoS that is offered, so that every publisher is
-    recorded with all it offers; one, if all offer the same. A subscription that asks for less also
-    matches those that offer more, and what arrives twice is recorded once.
+    There is one subscription for each kind of QoS that publishers offer, so that every publisher is
+    recorded with all that it offers. A subscription that asks for less also matches publishers that
+    offer more; a message that arrives twice is recorded once.
 
     Args:
-        given: The name before remappings, which subscribing applies.
-        publishers: Its publishers, all of one type, which are not subscribed to yet.
-        depth: Messages that may wait in the queue of a subscription.
+        given: The name before remapping; subscribing applies the remappings.
+        publishers: Its publishers, all of one type; `subscribe` subscribes to them.
+        depth: Largest number of messages in the queue of a subscription.
 
     Raises:
         BagWriteError: The type has no definition.
@@ -164,10 +164,10 @@ class RecordedTopic:
         self.losses = LossCounter()
         self._node, self._given, self._depth = node, given, depth
         self._msg_type = message_class(self.definition.type)
-        # By whether it is latched and reliable, which decides on the publishers it matches.
+        # By whether they are latched and reliable, which decides on the publishers they match.
         self._subscriptions: dict[tuple[bool, bool], DrainedSubscription] = {}
         self._latched_publishers: set[bytes] = set()
-        # Publication time, number and length: of two messages of a topic, one is never the same.
+        # Publication time, number and length; no two messages of a topic have all three in common.
         self._recent: set[tuple[int, int | None, int]] = set()
         self._older = self._recent
         self.offers = tuple(_to_bag(info.qos_profile) for info in publishers)
@@ -178,7 +178,7 @@ class RecordedTopic:
         return any(s.subscription.get_publisher_count() for s in self._subscriptions.values())
 
     def subscribe(self, publishers: Sequence[TopicEndpointInfo]) -> None:
-        """Subscribe to all the publishers there are, as far as that is not done yet."""
+        """Subscribe once for each kind of QoS that the present publishers offer."""
         for info in publishers:
             offer = info.qos_profile
             kind = offer.durability == _LATCHED, offer.reliability == _RELIABLE
@@ -195,14 +195,14 @@ class RecordedTopic:
                 made = DrainedSubscription(self._node, self._msg_type, self._given, qos, raw=True)
             except Exception as error:  # such as another type of the same topic in this process
                 raise NodeError(f"{self.name}: cannot subscribe: {error}") from error
-            # Latched ones last: when their queue is emptied, a copy has not arrived before.
+            # Latched ones are drained last, to have a copy of each message from the others.
             self._subscriptions = dict(sorted([*self._subscriptions.items(), (kind, made)]))
         self.losses.see(_gids(publishers))
 
     def drain(self, limit: int) -> list[Received]:
-        """Take what has arrived for the first time, at most `limit` from each subscription.
+        """Take new messages without repetitions, at most `limit` from each subscription.
 
-        The log times are those of arrival by the system's clock.
+        The log times are the times of arrival on the system clock.
         """
         taken = [(kind, s, s.drain(limit)) for kind, s in self._subscriptions.items()]
         received: list[Received] = []
@@ -229,9 +229,9 @@ class RecordedTopic:
 
 
 class TopicFinder:
-    """Subscribes to topics as soon as they have a publisher; `recorded` are those, by name.
+    """Subscribes to topics as soon as they have a publisher; `recorded` has these, by name.
 
-    It warns once of each topic that cannot be recorded, or not all of it.
+    It warns once about each topic that cannot be recorded, or only in part.
     """
 
     def __init__(self, node: ManagedNode[RecorderParameters]) -> None:
@@ -239,7 +239,7 @@ class TopicFinder:
         self._node = node
         self._selection = node.parameters.resolved(node.resolve_topic_name)
         self._listed = list(filter(self._selection.wants, self._selection.topics))
-        # Full names and those before remappings, which subscribing applies.
+        # Names before remapping, by full name; subscribing applies the remappings.
         self._given = dict(zip(self._selection.topics, node.parameters.topics, strict=True))
         self._warnings: set[str] = set()
         self._publisher_counts: dict[str, int] = {}
@@ -252,7 +252,7 @@ class TopicFinder:
         return [name for name in self._listed if name not in recorded or not recorded[name].matched]
 
     def poll(self) -> list[RecordedTopic]:
-        """Look at the graph and return the topics that have been subscribed to by this call."""
+        """Look at the ROS graph and return the topics that this call has subscribed to."""
         self._polls += 1
         graph = (name for name, _ in self._node.get_topic_names_and_types())
         before = set(self.recorded)
@@ -267,7 +267,7 @@ class TopicFinder:
         return [topic for name, topic in self.recorded.items() if name not in before]
 
     def _look_at(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
-        """Subscribe to publishers that are new, of a topic that may be new."""
+        """Subscribe to the new publishers of a topic, which may itself be new."""
         topic = self.recorded.get(name)
         if topic is None:
             types = sorted({info.topic_type for info in publishers})
@@ -298,7 +298,7 @@ class TopicFinder:
 
 
 def _to_bag(value: Any) -> Any:
-    """Return a QoS profile, or a part of one, in the form a bag has it."""
+    """Return a QoS profile, or a part of one, in the form that bags use."""
     if isinstance(value, QoSProfile):
         names = QosProfile.__struct_fields__
         return QosProfile(**{name: _to_bag(getattr(value, name)) for name in names})
