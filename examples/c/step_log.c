@@ -1,15 +1,15 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * Step a design over a log and print the estimates, whose bits are those of Python.
+ * Step a design over a log, and print the estimates, which equal Python's to the bit.
  *
  *     cc -std=c99 -O3 -ffp-contract=off -fno-math-errno -I "$CORE" examples/c/step_log.c \
  *       $(find "$CORE" -name '*.c' ! -name module.c) -lm -o step_log
  *     ./step_log my_arm.tsobs log.csv > estimates.csv
  *
  * CORE is tsobs_ros/core, and `tsobs export-c my_arm.design.yaml --output my_arm.tsobs` writes the
- * design. The log has a line of names, then time (above 0) [s], outputs [rad] and torques [N m] of each
- * sample; what is no number is missing. This file is C and C++.
+ * design. The log has a line of names, then one line per sample: time (above 0) [s], outputs [rad]
+ * and torques [N m]. An entry that is no number is missing. This file is both C and C++.
  */
 #include "tsobs.h"
 
@@ -32,7 +32,7 @@ static void *allocate(size_t bytes)
     return memory;
 }
 
-/* Return what is in a file. */
+/* Return the content of a file, and write its length. */
 static void *read_file(const char *name, size_t *bytes)
 {
     FILE *file = fopen(name, "rb");
@@ -48,7 +48,7 @@ static void *read_file(const char *name, size_t *bytes)
     return content;
 }
 
-/* Read numbers between commas, NaN for what is none. */
+/* Read numbers between commas; an entry that is no number becomes NaN. */
 static void read_numbers(const char *line, double *numbers, int64_t count)
 {
     int64_t i;
@@ -64,7 +64,7 @@ static void read_numbers(const char *line, double *numbers, int64_t count)
     }
 }
 
-/* Print the names of a row's numbers, which stand in one list. */
+/* Print the names of an estimate's numbers, from the list of its fields. */
 static void print_names(const estimator_sizes *s)
 {
     const layout_field fields[] = {ESTIMATE_FIELDS(LAYOUT_ROW, s)};
@@ -89,7 +89,7 @@ int main(int count, char **arguments)
         quit(arguments[0], "expected an exported design and a log");
     }
 
-    /* Everything that is allocated, is so before the first step. */
+    /* All memory is allocated before the first step. */
     void *words = read_file(arguments[1], &bytes);
     const char *wrong = exported_open(&design, words, bytes);
     if (wrong != NULL) {

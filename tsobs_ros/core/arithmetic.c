@@ -7,7 +7,7 @@ double quadratic(const double *s, long s_width, const double *a, long n)
 {
     double total = 0.0;
     for (long i = 0; i < n; i++) {
-        for (long j = 0; a[i] != 0.0 && j < n; j++) { /* most of a map is 0 */
+        for (long j = 0; a[i] != 0.0 && j < n; j++) { /* most entries are 0 */
             total += a[j] != 0.0 ? a[i] * s[i * s_width + j] * a[j] : 0.0;
         }
     }
@@ -19,7 +19,7 @@ int is_nonnegative(double *s, long n)
     for (long first = 0; first < n; first++) {
         const double *top = s + first * n;
         const double pivot = top[first];
-        if (!(pivot > 0.0)) { /* which NaN is not either */
+        if (!(pivot > 0.0)) { /* also if it is NaN */
             for (long column = first; column < n; column++) {
                 if (top[column] != 0.0) {
                     return 0;
@@ -39,7 +39,7 @@ int is_nonnegative(double *s, long n)
 
 void solve(const double *s, const double *b, double *factor, double *result, long n)
 {
-    for (long j = 0; j < n; j++) { /* L and, on the diagonal, D */
+    for (long j = 0; j < n; j++) { /* L below the diagonal, D on it */
         for (long i = j; i < n; i++) {
             double total = s[i * n + j];
             for (long k = 0; k < j; k++) {
@@ -77,7 +77,7 @@ void copy_matrix(
 
 #define PI 3.14159265358979323846
 
-/* Return the sine up to pi/4. */
+/* Return the sine of an angle within +-pi/4. */
 static double first_sine(double angle)
 {
     const double z = angle * angle;
@@ -87,7 +87,7 @@ static double first_sine(double angle)
     return angle + angle * z * r;
 }
 
-/* Return the cosine up to pi/4. */
+/* Return the cosine of an angle within +-pi/4. */
 static double first_cosine(double angle)
 {
     const double z = angle * angle, half = 0.5 * z, value = 1.0 - half;
@@ -101,13 +101,13 @@ void sine_and_cosine(double angle, double *sin, double *cos)
 {
     long quarters = 0;
     if (!(fabs(angle) <= 1e6)) {
-        /* What is lost is less than the rounding of so large an angle. */
+        /* This loses less than the rounding of so large an angle does. */
         angle = fmod(angle, 2.0 * PI);
     }
     if (fabs(angle) > 0.25 * PI) {
         quarters = (long)floor(angle * (2.0 / PI) + 0.5);
-        /* pi/2 in three parts, the first two of 33 bits, so that small multiples of them are
-         * exact. */
+        /* pi/2 is subtracted in three parts. The first two have 33 bits, so that their small
+         * multiples are exact. */
         angle -= (double)quarters * 1.57079632673412561417e00;
         angle -= (double)quarters * 6.07710050630396597660e-11;
         angle -= (double)quarters * 2.02226624879595063154e-21;

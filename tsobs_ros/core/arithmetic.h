@@ -1,11 +1,11 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * Matrices of a few rows and elementary functions, with the same bits on every CPU: products and
- * sums in a fixed order.
+ * Small matrices and elementary functions, with the same bits on every CPU: all products and sums
+ * are taken in a fixed order.
  *
- * A BLAS library has other kernels for other CPUs. The system's functions have variants with and
- * without fused multiplication and addition, which disagree in the last bit of one sine in 1,300.
+ * A BLAS library chooses its kernels by the CPU. The system's functions have variants with and
+ * without fused multiply-add, which differ in the last bit of one sine in 1,300.
  */
 #ifndef TSOBS_ARITHMETIC_H
 #define TSOBS_ARITHMETIC_H
@@ -13,9 +13,9 @@
 #include <math.h>
 #include <stddef.h>
 
-/* --- matrices, stored by rows: one with an argument `..._width` behind it has rows that begin so
- * many numbers apart; the rows of all others are as long as they are used. Results must not be an
- * argument at the same time unless stated. --- */
+/* --- matrices, stored by rows. An argument `..._width` is the number of doubles from one row of
+ * the preceding matrix to the next; the rows of all other matrices follow without a gap. A result
+ * must not be an argument at the same time unless stated. --- */
 
 /* Return a . b. */
 static inline double dot(const double *a, const double *b, long n)
@@ -45,9 +45,9 @@ static inline void add_scaled(double *restrict y, double c, const double *restri
     }
 }
 
-/* Call a function whose last argument is a size. A compiler that knows it makes straight code of
- * loops, which takes half the time: most models have one of these numbers of states. So FEW results
- * are made on the stack, which nothing else points to, and written together. */
+/* Call a function whose last argument is a size. Most models have 4 to FEW states: for these the
+ * size is a constant, so that the compiler unrolls the loops, which halves the time. For that, few
+ * results (up to FEW) are computed on the stack, where nothing aliases them, and then copied. */
 enum { FEW = 9 };
 #define WITH_SIZE(n, call, ...)                                                     \
     switch (n) {                                                                    \
@@ -57,8 +57,8 @@ enum { FEW = 9 };
     default: call(__VA_ARGS__, n);                                                  \
     }
 
-/* Write the sum of rows of b, (count, columns), each by its factor; those by 0 are left out unless
- * `all` are asked for, as most of a map is 0. */
+/* Write the sum of the rows of b (count, columns), each multiplied by its factor. Rows with a
+ * factor of 0 are skipped unless `all` is set, as most entries of a state map are 0. */
 static inline void combine(
     const double *factors, const double *b, long b_width, double *restrict result, int all,
     long count, long columns)
@@ -77,7 +77,7 @@ static inline void combine(
     }
 }
 
-/* Write a b for a (rows, inner) and b (inner, columns). */
+/* Write the product a b of a (rows, inner) and b (inner, columns). */
 static inline void multiply(
     const double *a, const double *b, double *result, long rows, long inner, long columns)
 {
@@ -86,8 +86,8 @@ static inline void multiply(
     }
 }
 
-/* Replace s by a s a', symmetric, for a and a symmetric s (n, n), and add a symmetric matrix to its
- * first rows and columns, (count, count). `half` (n, n) is scratch; added may be s. */
+/* Replace a symmetric s (n, n) by a s a' for a (n, n), and add the symmetric matrix `added` (count,
+ * count) to its first rows and columns. `half` (n, n) is scratch; `added` may be s itself. */
 static inline void congruence(
     const double *a, double *s, long s_width, const double *added, long count, double *half, long n)
 {
@@ -95,7 +95,7 @@ static inline void congruence(
     for (long i = 0; i < n; i++) {
         trace += s[i * (s_width + 1)];
     }
-    const int all = !isfinite(trace); /* which has to show everywhere */
+    const int all = !isfinite(trace); /* then 0 times s is NaN, and must not be skipped */
     for (long i = 0; i < n; i++) {
         combine(a + i * n, s, s_width, half + i * n, all, n, n);
     }
@@ -116,33 +116,33 @@ static inline void congruence(
 /* Return a' s a for s (n, n). */
 double quadratic(const double *s, long s_width, const double *a, long n);
 
-/* Return whether a symmetric matrix (n, n) is positive semidefinite; overwrites its upper part. */
+/* Return whether a symmetric s (n, n) is positive semidefinite; its upper part is overwritten. */
 int is_nonnegative(double *s, long n);
 
-/* Write s^-1 b into `result` (n), for a symmetric positive definite s.
+/* Write s^-1 b into `result` (n), for a symmetric positive definite s (n, n).
  *
- * By s = L D L', so that a 1 x 1 system is one division. `factor` (n, n) is scratch. What comes of
- * a singular s is not finite. */
+ * The factors s = L D L' make a 1 x 1 system a single division. `factor` (n, n) is scratch. The
+ * result for a singular s is not finite. */
 void solve(const double *s, const double *b, double *factor, double *result, long n);
 
-/* Write a matrix (rows, columns) into `result`. */
+/* Copy a matrix (rows, columns) into `result`. */
 void copy_matrix(
     const double *source, long source_width, double *result, long result_width, long rows,
     long columns);
 
-/* --- elementary functions, by the polynomials of Sun's fdlibm: within two units in the last place
- * of the true value, up to 10^6 rad. Of an angle that is not finite they are NaN. --- */
+/* --- elementary functions, with the polynomials of Sun's fdlibm: within two units in the last
+ * place of the true value, for angles up to 10^6 rad. An angle that is not finite gives NaN. --- */
 
-/* Return sin of an angle [rad]. */
+/* Return the sine of an angle [rad]. */
 double sine(double angle);
 
-/* Write sin and cos of an angle [rad], which together cost little more than one of them. */
+/* Write the sine and cosine of an angle [rad]; both together cost little more than one. */
 void sine_and_cosine(double angle, double *sin, double *cos);
 
-/* Return exp x for x <= 0; NaN of NaN. */
+/* Return exp x for x <= 0, and NaN for NaN. */
 double exponential(double x);
 
-/* Return the natural logarithm of x > 0; NaN of other numbers. */
+/* Return the natural logarithm of a finite x > 0, and NaN for all others. */
 double logarithm(double x);
 
 #endif

@@ -1,23 +1,23 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * The bank: the hypotheses together.
+ * The bank: all hypotheses together.
  *
- * Each sample is weighed by every hypothesis, and adds the logarithm of its likelihood to their
- * scores. A sample that the best one takes for an outlier may be that, or the first of something
- * new: then forks of the best one suppose that the sensor jumped, that the arm was hit, or that it
- * was put elsewhere. At a torque that stands out one supposes that it never acted. The samples that
- * follow decide: the best fork takes its parent's place. Once per trial a fork supposes that the
- * best one is wrong about what the arm and its sensors are.
+ * Each sample adds its log-likelihood under each hypothesis to that hypothesis' score. If the best
+ * hypothesis takes a sample for an outlier, the sample may also be the first sign of an event. So
+ * forks of the best hypothesis suppose that the sensor jumped, that the arm was hit, or that it was
+ * put elsewhere. If a torque stands out, a fork supposes that it never acted. The samples that
+ * follow decide: the best fork takes its parent's place. Once per trial, a fork supposes that the
+ * best hypothesis is wrong about the arm or its sensors.
  *
- * While nothing contradicts the design, it is alone, and the others sleep; but they are considered
- * at the start, which shows most of the parameters if these are learnt.
+ * While nothing contradicts the design, it runs alone and the other hypotheses sleep. But if
+ * parameters are learnt, all begin awake, as the start shows most about the parameters.
  */
 #include "bank.h"
 
 #include <string.h>
 
-/* Kinds of an innovation for the noise's scale, 0 for none. */
+/* Kinds of an innovation in `scale_noise`; 0 is none. */
 enum { REGULAR = 1, OUTLIER = 2 };
 
 /* --- views --- */
@@ -36,7 +36,7 @@ int sizes_are_sound(const int64_t *numbers)
            && (s.hypotheses == 1 || (s.hypotheses == STANDING + FORKS && s.width > s.n));
 }
 
-/* Return whether what is counted from in a state lies within it. */
+/* Return whether all places and kinds in a state are valid. */
 static int state_is_sound(const model *m, const state *at)
 {
     if (*at->best < 0 || *at->best >= m->s.hypotheses || *best_of(m, at).live == 0) {
@@ -100,21 +100,21 @@ void copy_state(const model *m, const double *from, double *to)
 
 /* --- torques --- */
 
-/* A command is a step: a torque acts from `delay` after its sample until `delay` after the next
- * one. A prediction is by the mean of these steps over each of its own, whose effect on velocities
- * is that of the steps themselves. */
+/* A commanded torque acts from `delay` after its sample until `delay` after the next sample. Each
+ * step of a prediction holds the mean of the torques that act during it, which changes velocities
+ * as much as the torques themselves. */
 
-/* Return the torque at the motor once a command has arrived there. */
+/* Return the torque at the motor that a command makes once it has arrived there. */
 static double at_motor(const model *m, double command)
 {
-    /* Subtracted, so that an offset of zero changes no bit, the sign of a zero included. */
+    /* The subtraction keeps all bits if the offset is zero, even the sign of a zero torque. */
     return *m->torque_gain * command - (0.0 - *m->torque_offset);
 }
 
 double mean_torque(const model *m, const state *at, double ahead, double duration)
 {
-    /* Ages, as of now, of the commands that act from the beginning to the end of that time. The
-     * newest is in force for ever, and the oldest that is remembered always was. */
+    /* A command of age `oldest` arrives at the beginning of the interval, one of age `youngest` at
+     * its end. The newest stays in force for ever, and the oldest remembered one always was. */
     const double oldest = *m->torque_delay - ahead, youngest = oldest - duration;
     double mean = at->past[0], from = youngest;
     for (long i = 0; i < m->s.past && from < oldest; i++) {
@@ -139,12 +139,12 @@ void hold_inputs(const model *m, state *at, const double *u)
         return;
     }
     const double torque = at->held[0];
-    if (isinf(at->past[1])) { /* the first one always was */
+    if (isinf(at->past[1])) { /* the first torque is taken to have acted always */
         for (long i = 0; i < past; i++) {
             at->past[2 * i] = torque;
             at->past[2 * i + 1] = 0.0;
         }
-    } else if (torque != at->past[0]) { /* else the newest goes on */
+    } else if (torque != at->past[0]) { /* otherwise the newest goes on */
         memmove(at->past + 2, at->past, 2 * (size_t)(past - 1) * sizeof *at->past);
         at->past[0] = torque;
         at->past[1] = 0.0;
@@ -152,7 +152,7 @@ void hold_inputs(const model *m, state *at, const double *u)
     at->held[0] = mean_torque(m, at, 0.0, *m->period);
 }
 
-/* Begin a time in which the torque is unknown. */
+/* Begin a gap, in which the torque is unknown. */
 static void open_torque(const model *m, const state *at, const hypothesis *h)
 {
     double spread = *m->torque_rate * *m->period;
@@ -163,7 +163,7 @@ static void open_torque(const model *m, const state *at, const hypothesis *h)
     h->covariance[m->s.n * (m->s.width + 1)] += spread * spread;
 }
 
-/* Return the variance of a hypothesis' error in a state. */
+/* Return the error variance of a hypothesis' state. */
 static double variance_of(const model *m, const state *at, const hypothesis *h, long i)
 {
     const double std = scale_of(at) * m->state_std[i];
@@ -172,13 +172,13 @@ static double variance_of(const model *m, const state *at, const hypothesis *h, 
 
 /* --- copies --- */
 
-/* Consider a hypothesis no longer. */
+/* Remove a hypothesis. */
 static void drop(const model *m, const hypothesis *h)
 {
     memset(h->live, 0, hypothesis_size(&m->s) * sizeof(double));
 }
 
-/* Consider the best hypothesis only. */
+/* Remove all hypotheses but the best. */
 static void drop_others(const model *m, const state *at)
 {
     hypothesis h;
@@ -198,7 +198,7 @@ static void take_place(const model *m, state *at, const hypothesis *h)
     drop(m, h);
 }
 
-/* Begin a hypothesis as a copy of the best one, of which it supposes something else. */
+/* Begin a hypothesis as a copy of the best one; the caller then changes what it supposes. */
 static hypothesis begin_from_best(
     const model *m, const state *at, long place, int64_t fork, double score)
 {
@@ -212,7 +212,7 @@ static hypothesis begin_from_best(
     return h;
 }
 
-/* Forget the auxiliary states from a place on, up to another. */
+/* Clear the auxiliary states from `first` on, up to `end`. */
 static void clear_auxiliary(const model *m, const hypothesis *h, long first, long end)
 {
     const long width = m->s.width;
@@ -228,17 +228,17 @@ static void clear_auxiliary(const model *m, const hypothesis *h, long first, lon
     }
 }
 
-/* Take arm and sensors for something else: parts of the sensors are forgotten, as the disturbance
- * has to explain them again, but a torque is unknown in a gap whatever they are taken for. */
-static void take_for(const model *m, const state *at, const hypothesis *h, int64_t kind)
+/* Change the kind of a hypothesis. The parts of the sensors are cleared, as the disturbance has to
+ * explain them again. The torque's state is kept for FORCE, and for any kind in a gap. */
+static void change_kind(const model *m, const state *at, const hypothesis *h, int64_t kind)
 {
     *h->kind = kind;
     *h->size = kind == DRIFT ? m->constants[DRIFT_SIZE] : *h->size;
     clear_auxiliary(m, h, m->s.n + (kind == FORCE || *at->in_gap != 0), m->s.width);
 }
 
-/* Forget all but the estimate itself: covariances are those of the start. */
-static void open_all(const model *m, const hypothesis *h)
+/* Reset covariances and regressors to those of the start, but keep the estimate. */
+static void reset_covariances(const model *m, const hypothesis *h)
 {
     const long n = m->s.n, k = m->s.k, width = m->s.width;
     const state initial = state_view(&m->s, m->initial);
@@ -249,13 +249,13 @@ static void open_all(const model *m, const hypothesis *h)
     *h->noise_share = 0.0;
 }
 
-/* Begin a hypothesis of a kind, which otherwise is a copy of the best one. */
+/* Begin a hypothesis of a kind, otherwise a copy of the best one. */
 static void begin_kind(
     const model *m, const state *at, long place, long kind, int64_t fork, double score)
 {
     const long n = m->s.n, p = m->s.p, width = m->s.width, force = force_place(m);
     const hypothesis h = begin_from_best(m, at, place, fork, score);
-    take_for(m, at, &h, kind);
+    change_kind(m, at, &h, kind);
     if (kind == FORCE && h.covariance[force * (width + 1)] <= 0.0) {
         h.covariance[force * (width + 1)] = *m->force * *m->force;
     }
@@ -265,14 +265,14 @@ static void begin_kind(
     }
 }
 
-/* Begin a standing hypothesis. */
-static void renew(const model *m, const state *at, long kind)
+/* Begin a standing hypothesis, a FLOOR behind the best one. */
+static void begin_standing(const model *m, const state *at, long kind)
 {
     begin_kind(m, at, kind, kind, NO_FORK, -m->constants[FLOOR]);
 }
 
-/* Return whether a kind is considered: one that differs from the design in nothing is not, and
- * tones begin once they are found. */
+/* Return whether a kind is considered. A kind that equals the design is not, nor is TONE, which
+ * begins once a tone is found. */
 static int is_considered(const model *m, long kind)
 {
     const double *c = m->constants;
@@ -283,12 +283,12 @@ static int is_considered(const model *m, long kind)
     return kind < TONE && differences[kind] > 0.0;
 }
 
-/* Consider all hypotheses for a while, and begin those that sleep. */
+/* Begin the hypotheses that sleep, and keep all awake for a while. */
 static void activate_bank(const model *m, state *at)
 {
     for (long kind = 0; kind < TONE; kind++) {
         if (*hypothesis_of(m, at, kind).live == 0 && is_considered(m, kind)) {
-            renew(m, at, kind);
+            begin_standing(m, at, kind);
         }
     }
     *at->awake = m->constants[AWAKE];
@@ -296,16 +296,16 @@ static void activate_bank(const model *m, state *at)
 
 /* --- the sensors --- */
 
-/* Follow the size of white noise by the running median of neighbouring differences, in steps of its
- * logarithm; variance: of the innovations under the certified gain. */
+/* Track the size of white noise by the running median of the differences of successive innovations,
+ * in steps of its logarithm. variance: variance of the innovations under the certified gain. */
 static void scale_noise(const model *m, sensor *of, double innovation, double variance)
 {
     const double elapsed = minimum(*of->since, *m->longest);
     const double limit = maximum(*of->noise_scale, 1.0) * *m->gate;
     const int64_t kind = fabs(innovation) > limit * sqrt(variance) ? OUTLIER : REGULAR;
-    /* An outlier and its neighbour show nothing; if most are outliers, the noise is larger. */
+    /* A pair of unlike kinds shows nothing. A pair of outliers counts: the noise may be larger. */
     if (*of->paired == kind) {
-        const double expected = sqrt(2.0 * variance) * 0.6745; /* a normal one's median */
+        const double expected = sqrt(2.0 * variance) * 0.6745; /* median of a normal one's size */
         const double rate = maximum(20.0 / (1.0 + 20.0 * *of->scale_age), 1.0);
         const double step = 1.0 + 0.5 * rate * elapsed;
         if (fabs(innovation - *of->previous) > *of->noise_scale * expected) {
@@ -319,19 +319,19 @@ static void scale_noise(const model *m, sensor *of, double innovation, double va
     *of->paired = kind;
 }
 
-/* Return whether noise hides the steps of a sensor, so that no value comes twice. */
+/* Return whether noise hides the quantisation of a sensor, so that no value should repeat. */
 static int hides_steps(const sensor *of, double noise)
 {
     return *of->rough > 3.0 * (*of->step > 0.0 ? *of->step : sqrt(noise));
 }
 
-/* Count a repetition of a value if it speaks for a stuck sensor. If noise hides the sensor's steps,
- * each does. Else a value repeats whenever the arm rests or moves by less than a step, so that a
- * repetition counts only once the prediction has left the value: once the innovation exceeds the
- * least that it has been by more than a step and the prediction's own sigma. The step is learnt as
- * the smallest difference of successive values, or of two such differences, as those of an arm that
- * moves are large; the noise as the running median of those of innovations. Neither grows by more
- * than a fiftieth at once, to forget an odd value. */
+/* Count a repetition of a value if it suggests a stuck sensor. If noise hides the sensor's steps,
+ * each repetition does. Otherwise a value also repeats if the arm rests or moves by less than a
+ * step. Then a repetition counts only once the prediction has left the value: once the innovation
+ * exceeds its least size so far by more than a step plus the prediction's own sigma. The step is
+ * learnt as the smallest difference of successive values, or of two such differences, as values of
+ * a moving arm differ much; the noise (rough) as the running median of the differences of
+ * innovations. Both may grow by a fiftieth per new value, so that an odd value is forgotten. */
 static void count_repeats(const sensor *of, double y, const outlook *expected, double noise)
 {
     const double rate = 1.02;
@@ -358,8 +358,8 @@ static void count_repeats(const sensor *of, double y, const outlook *expected, d
     *of->repeats = 0;
 }
 
-/* Look at the samples as the best hypothesis expects them: under supervision leave out those of
- * stuck sensors, and follow the noise. Return whether there are outliers. */
+/* Under supervision, leave out the samples of stuck sensors, and track the noise by the innovations
+ * of the best hypothesis. Return whether that hypothesis finds outliers. */
 static int examine(const model *m, state *at, correction *effect)
 {
     double scale = -INFINITY;
@@ -384,15 +384,15 @@ static int examine(const model *m, state *at, correction *effect)
     return outliers;
 }
 
-/* Return whether the state's age has crossed a multiple of an interval in the time `since`. */
+/* Return whether the state's age has passed a multiple of an interval in the time `since`. */
 static int has_passed(const state *at, double interval, double since)
 {
     return floor(*at->age / interval) > floor((*at->age - since) / interval);
 }
 
-/* Return whether an arm swings by itself at a frequency: there a wrong model looks like a tone; for
- * a second one, at those that other parameters may give, too. */
-static int is_its_own(const model *m, double frequency, int is_second)
+/* Return whether a frequency is near a natural one of the arm, where a wrong model looks like a
+ * tone. For a second tone the margin is wider, to cover those of other parameters, too. */
+static int is_natural(const model *m, double frequency, int is_second)
 {
     const double step = m->constants[TONE_RATIO];
     const double ratio = is_second ? step * step : sqrt(step);
@@ -400,15 +400,15 @@ static int is_its_own(const model *m, double frequency, int is_second)
            || (frequency < ratio * m->modes[1] && m->modes[1] < ratio * frequency);
 }
 
-/* Return the lowest frequency that is looked for: the memory has four radians of it. */
+/* Return the lowest frequency of tones [rad/s]: within their memory it turns by four radians. */
 static double lowest_tone(const model *m)
 {
     return 4.0 / m->constants[AWAKE];
 }
 
-/* Turn what the design's innovations have of each frequency, and add the newest: together those of
- * .015 rad of the lowest, which are .25 rad of the highest. */
-static void turn_tones(const model *m, const state *at, const correction *effect)
+/* Rotate the phasors of the design's innovations at all frequencies, and add the newest ones, which
+ * are first summed up over .015 rad of the lowest frequency, .25 rad of the highest. */
+static void update_tones(const model *m, const state *at, const correction *effect)
 {
     const double step = m->constants[TONE_RATIO];
     for (long i = 0; i < m->s.p; i++) {
@@ -436,13 +436,13 @@ static void turn_tones(const model *m, const state *at, const correction *effect
     }
 }
 
-/* A tone in innovations. */
+/* A tone in innovations: power relative to white noise's, frequency [rad/s], and 1 sigma. */
 typedef struct {
     double power, frequency, size;
 } tone;
 
-/* Begin tones of an output, as a copy of the best hypothesis or with what that has learnt
- * forgotten: what others have learnt while they did not know of the tone is wrong. */
+/* Begin a TONE of an output with one tone or two, as a copy of the best hypothesis. TONE_RESET also
+ * forgets what that has learnt, which is wrong if it was learnt without knowledge of the tone. */
 static void begin_tones(
     const model *m, const state *at, long place, int64_t output, const tone *tones, long count)
 {
@@ -450,7 +450,7 @@ static void begin_tones(
     const hypothesis h = begin_from_best(m, at, place, NO_FORK, -m->constants[FLOOR]);
     *h.output = output;
     *h.size = tones[0].size;
-    take_for(m, at, &h, TONE);
+    change_kind(m, at, &h, TONE);
     for (long i = 0; i < count; i++) {
         const double size = tones[i].size, off = halfway_from(m, tones[i].frequency);
         const long first = m->s.n + 1 + 3 * i;
@@ -460,7 +460,7 @@ static void begin_tones(
         h.x[first + 2] = tones[i].frequency;
     }
     if (place == TONE_RESET) {
-        open_all(m, &h);
+        reset_covariances(m, &h);
         for (long a = 0; a < m->s.k; a++) {
             h.theta[a] = h.pending[a] = h.anchor[a] = 0.0;
         }
@@ -468,8 +468,8 @@ static void begin_tones(
     }
 }
 
-/* Find the three loudest tones in an output's innovations, in turn: each where it stands between
- * its frequency and the louder neighbour, by how loud both are. */
+/* Find the three loudest tones in an output's innovations, loudest first. Each is a local maximum;
+ * its frequency is interpolated towards that of the louder neighbour, by the amplitudes of both. */
 static void find_tones(const model *m, const state *at, long output, tone *found)
 {
     const sensor of = sensor_of(m, at, output);
@@ -477,11 +477,11 @@ static void find_tones(const model *m, const state *at, long output, tone *found
     const double step = m->constants[TONE_RATIO];
     const double std
         = noise_of(m, at, output) * sqrt(m->innovation_covariance[output * (m->s.p + 1)]);
-    double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
+    double loud[TONES + 2] = {0.0}; /* with 0 beyond both ends */
     double rate = lowest_tone(m);
     for (long j = 1; j <= TONES; j++, rate *= step) {
         const double *z = of.tones + 2 * (j - 1);
-        loud[j] = is_its_own(m, rate, 0) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
+        loud[j] = is_natural(m, rate, 0) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
     }
     rate = lowest_tone(m);
     for (long j = 1; j <= TONES; j++, rate *= step) {
@@ -490,11 +490,11 @@ static void find_tones(const model *m, const state *at, long output, tone *found
         tone next = {
             here * here * (2.0 - share) * share,
             rate * (here + ratio * other) / (here + other),
-            6.0 * share * here * std, /* the filter follows a slow tone in part */
+            6.0 * share * here * std, /* large, as the filter hides part of a slow tone */
         };
         for (long rank = 0; here >= other && rank < 3; rank++) {
             const tone ranked = found[rank];
-            if (next.power > ranked.power && (rank == 0 || !is_its_own(m, next.frequency, 1))) {
+            if (next.power > ranked.power && (rank == 0 || !is_natural(m, next.frequency, 1))) {
                 found[rank] = next;
                 next = ranked;
             }
@@ -502,8 +502,8 @@ static void find_tones(const model *m, const state *at, long output, tone *found
     }
 }
 
-/* Four times per trial propose the loudest tones of an output; the next one, too, if one alone has
- * failed, unless the window or clipping may have made it of the loudest. */
+/* Four times per trial, propose the loudest tone of all outputs. If one tone alone has failed, add
+ * the output's second one, unless the window or clipping may have made it from the loudest. */
 static void propose_tones(const model *m, state *at, const correction *effect)
 {
     const tone none = {m->constants[TONE_SIGN], 0.0, 0.0};
@@ -529,11 +529,11 @@ static void propose_tones(const model *m, state *at, const correction *effect)
     for (long place = TONE; place <= TONE_RESET; place++) {
         const hypothesis h = hypothesis_of(m, at, place);
         const double now = h.x[m->s.n + 3], second = h.x[m->s.n + 6];
-        /* A slow one takes three periods to show, unless a much faster one is louder. */
+        /* A slow tone has three periods to prove itself, unless a much faster one is louder. */
         const double periods = frequency < 2.0 * now ? 20.0 / now : 0.0;
         const int is_over = *h.age > maximum(m->constants[AWAKE], periods);
         const int failed_alone = *h.live != 0 && second == 0.0;
-        if (*h.live != 0 && (is_its_own(m, now, 0) || is_its_own(m, second, 1))) {
+        if (*h.live != 0 && (is_natural(m, now, 0) || is_natural(m, second, 1))) {
             *h.score = -INFINITY;
         }
         if (frequency > 0.0 && *best_of(m, at).kind != TONE
@@ -545,7 +545,7 @@ static void propose_tones(const model *m, state *at, const correction *effect)
 
 /* --- forks --- */
 
-/* Return a place for a fork: a free one, or that of the unlikeliest below a score; -1 if none. */
+/* Return a place for a fork: a free one, or the unlikeliest fork's if below a score; -1 if none. */
 static long place_for(const model *m, const state *at, double score)
 {
     long found = -1;
@@ -562,7 +562,7 @@ static long place_for(const model *m, const state *at, double score)
     return found;
 }
 
-/* Open what a fork supposes to have changed at an outlier of an output. */
+/* Open the covariance of what a fork supposes to have changed at an output's innovation. */
 static void open_fork(
     const model *m, const state *at, hypothesis *h, int64_t fork, long output, double innovation)
 {
@@ -571,7 +571,7 @@ static void open_fork(
     double *P = h->covariance;
     if (fork == JUMPED && m->disturbed[output] == 0) { /* a faulty sensor */
         if (*h->kind != DRIFT) {
-            take_for(m, at, h, DRIFT);
+            change_kind(m, at, h, DRIFT);
         }
         P[(n + 1 + output) * (width + 1)] += innovation * innovation;
         return;
@@ -582,29 +582,29 @@ static void open_fork(
             std = map[i] != 0.0 ? innovation : 0.0;
         } else if (fork == HIT && (i == 1 || i == 3)
                    && (m->C[output * width + i - 1] != 0.0 || m->C[output * width + i] != 0.0)) {
-            /* The speed that makes the innovation within a period, if the arm can be so fast. It
-             * came at any time in that period, and has turned the arm since. */
+            /* The speed explains the innovation within a period, but is at most the domain's. The
+             * hit came at any time in that period, and the speed has turned the arm since. */
             const double turn = m->design_flow.phi[(i - 1) * n + i];
             std = minimum(fabs(innovation) / *m->period / m->scale[i], m->domain[i]);
             P[(i - 1) * (width + 1)] += std * std * turn * turn / 3.0;
             P[(i - 1) * width + i] += 0.5 * std * std * turn;
             P[i * width + i - 1] = P[(i - 1) * width + i];
         } else if (fork == MOVED && i < m->s.plant) {
-            /* As far as the sample is away, so that the disturbance stays what it was. */
+            /* At least as far as the sample is away, so that the disturbance need not change. */
             const double by = m->C[output * width + i];
-            /* An angle that is late has its velocity in it, but that is not what is away. */
+            /* A late angle contains its velocity, but that does not explain the innovation. */
             const int is_speed = i % 2 == 1 && *m->design_flow.kind == KIND_ARM;
             const int is_late = is_speed && m->C[output * width + i - 1] != 0.0;
             std = maximum(m->domain[i], by != 0.0 && !is_late ? fabs(innovation / by) : 0.0);
-            /* An estimate that is faster than the domain may be wrong by all of its speed. */
+            /* An estimated speed beyond the domain may be wrong by all of itself. */
             std = maximum(std, is_speed ? fabs(h->x[i]) : 0.0);
         }
         P[i * width + i] += std * std;
     }
 }
 
-/* Suppose that something happened at this sample, by what the best hypothesis, which is not
- * corrected by it yet, did not expect from an output; `expect_outputs` found the regular ones. */
+/* Begin a fork that supposes an event at an unlikely sample of an output. The best hypothesis is
+ * not corrected by the sample yet, and `expect_outputs` has marked the regular outputs. */
 static void suppose(
     const model *m, const state *at, int64_t fork, long output, double innovation,
     correction *effect)
@@ -632,13 +632,13 @@ static void suppose(
     }
 }
 
-/* Count repetitions, and where no value comes twice suppose that sensors are stuck from there: by a
- * fork that does not use them, is likelier with each, and from which all begin again in the end.
- * Write how the best hypothesis, which that may change, expects the outputs. */
+/* Count repetitions. If noise should let no value repeat, a repetition begins a fork that supposes
+ * stuck sensors and does not use them. Its score rises with each repetition, until all hypotheses
+ * begin again from it. Write the outlooks of the best hypothesis, which is that fork then. */
 static void judge_repeats(const model *m, state *at, correction *effect)
 {
     const double sure = (double)*m->stuck_samples;
-    double repeats = 0.0; /* that go on, of sensors that are not known to be stuck */
+    double repeats = 0.0; /* most that go on, of sensors not yet known to be stuck */
     int is_found = 0;
     long place = STANDING;
     hypothesis h = best_of(m, at);
@@ -676,8 +676,8 @@ static void judge_repeats(const model *m, state *at, correction *effect)
 }
 
 /* Suppose that the torque since the last sample never acted, if it stands out from those before and
- * after it by what moves the motor further than is known of its speed, and none did so for a while:
- * peaks that come often are the drive's own. */
+ * after it by what changes the motor's speed by more than SUDDEN sigmas, and if none has done so
+ * for a while: peaks that come often are the drive's own. */
 static void suppose_wrong_torque(const model *m, const state *at, const double *u)
 {
     const flow *f = &m->design_flow;
@@ -709,7 +709,7 @@ static void suppose_wrong_torque(const model *m, const state *at, const double *
     }
 }
 
-/* Suppose that the arm's parameters are what another hypothesis knows more precisely. */
+/* Begin a fork with the parameters of another hypothesis, if that knows them at least as well. */
 static void suppose_parameters(
     const model *m, const state *at, const hypothesis *teacher, double score)
 {
@@ -737,18 +737,19 @@ static void suppose_parameters(
     *h.significant = 1;
 }
 
-/* Return whether noise of a size is so loud that a jump which the design takes for an outlier is
- * not even sudden, and that a wrong model shows late. */
+/* Return whether noise is so loud that a jump which the design takes for an outlier is not even
+ * sudden, and that a wrong model shows late. size: relative to the design's noise. */
 static int is_loud(const model *m, double size)
 {
     return size > *m->gate / m->constants[SUDDEN];
 }
 
-/* Once per trial, suppose that arm and sensors are of another kind, each in turn: one that is true
- * now may have lost the arm or a jump for good, as only the best forks at events. If the model has
- * begun to seem wrong, suppose by turns that only its parameters were, which is as likely unless
- * the noise is loud; of a drift, that its size is the other one of two, as one between them looks
- * like a torque. In other noise suppose the parameters, too, that another one knows better. */
+/* Once per trial, begin a fork of another kind, each kind in turn: the standing hypothesis that is
+ * true now may have missed an event for good, as only the best one forks then. While a young
+ * IMPERFECT is the best, every second fork supposes that only the parameters were wrong, which is
+ * as likely unless the noise is loud. While DRIFT is the best, every second one supposes the other
+ * of two sizes, as one between them looks like a torque. In other noise, another fork supposes the
+ * parameters of the hypothesis whose turn it is, if that knows them better. */
 static void suppose_otherwise(const model *m, const state *at)
 {
     const double *c = m->constants;
@@ -779,8 +780,8 @@ static void suppose_otherwise(const model *m, const state *at)
 void take_torque(const model *m, state *at, const double *u)
 {
     if (*m->torque_limit > 0.0) {
-        /* A first torque has none before it: its age is infinite. Late samples and those of two
-         * sensors may be as close as can be. */
+        /* Before the first torque, torque_age is infinite. Late samples and those of two sensors
+         * may be arbitrarily close, so at least a period counts. */
         const double elapsed = maximum(*at->torque_age, *m->period);
         const double before = m->s.past > 0 ? at->past[0] : at->held[0];
         if (!isfinite(u[0]) || !(fabs(u[0]) <= *m->torque_limit)
@@ -791,7 +792,7 @@ void take_torque(const model *m, state *at, const double *u)
         }
     }
     suppose_wrong_torque(m, at, u);
-    if (*at->since >= 0.5 * *m->period) { /* else the message is another sensor's */
+    if (*at->since >= 0.5 * *m->period) { /* else another sensor sent the message */
         *at->torque_before = at->held[0];
     }
     hold_inputs(m, at, u);
@@ -799,8 +800,8 @@ void take_torque(const model *m, state *at, const double *u)
     *at->torque_age = 0.0;
 }
 
-/* Open the disturbance of IMPERFECT by the distance to that of a fork which found a jump, so that
- * it finds the jump for itself: the arm's state and parameters are its own. */
+/* Open IMPERFECT's disturbance by its distance from that of a fork which found a jump. So IMPERFECT
+ * finds the jump, too, and keeps its own state and parameters of the arm. */
 static void open_to_jump(const model *m, const state *at, const hypothesis *h)
 {
     const hypothesis other = hypothesis_of(m, at, IMPERFECT);
@@ -813,7 +814,7 @@ static void open_to_jump(const model *m, const state *at, const hypothesis *h)
     }
 }
 
-/* Let the best fork take its parent's place once it is sure, and let the others end. */
+/* Put the best fork in its parent's place once it is sure, and remove forks that have failed. */
 static void select_forks(const model *m, state *at)
 {
     hypothesis h;
@@ -833,14 +834,14 @@ static void select_forks(const model *m, state *at)
             }
         } else if (!(*h.score >= -m->constants[FLOOR])
                    || (*h.fork < STUCK && *h.age > m->constants[AWAKE])) {
-            drop(m, &h); /* a true event has won by then */
+            drop(m, &h); /* a true event would have won by then */
         }
     }
 }
 
 /* --- the bank --- */
 
-/* Make the scores relative to the best one, and find that. */
+/* Find the best hypothesis, and make all scores relative to its score. */
 static void compare(const model *m, state *at)
 {
     double most = -INFINITY;
@@ -859,7 +860,7 @@ static void compare(const model *m, state *at)
     }
 }
 
-/* Let the others sleep if the design has been the best without a sign for a while. */
+/* Put the others to sleep if the design is the best, and no sign has come for a while. */
 static void deactivate_bank(const model *m, state *at)
 {
     hypothesis h;
@@ -872,8 +873,8 @@ static void deactivate_bank(const model *m, state *at)
     }
 }
 
-/* Follow how still the plant was in the last seconds: the share of its motion that noise of the
- * estimate makes, in the state that moves most. */
+/* Track how still the plant has been in the last seconds: the share of its motion that the
+ * estimate's noise makes, in the state that moves most. */
 static void follow_motion(const model *m, state *at, const hypothesis *h)
 {
     const double share = *at->age > 0.0 ? share_of(*m->period, 2.0) : 1.0;
@@ -887,7 +888,7 @@ static void follow_motion(const model *m, state *at, const hypothesis *h)
     }
 }
 
-/* Write what the sample is to the best hypothesis, which is not corrected by it yet. */
+/* Write the sample's innovation by the best hypothesis, which is not corrected by it yet. */
 static void write_innovation(const model *m, const hypothesis *best, correction *effect)
 {
     const long p = m->s.p;
@@ -902,7 +903,7 @@ static void write_innovation(const model *m, const hypothesis *best, correction 
 }
 
 /* Return whether it is time to suppose a jump without a sign: in loud noise, four times per trial,
- * while awake or while another kind than the design is the best. */
+ * while the bank is awake or another kind than the design is the best. */
 static int is_due(const model *m, const state *at, long output)
 {
     return (*at->awake > 0.0 || *best_of(m, at).kind != AS_DESIGNED)
@@ -910,10 +911,9 @@ static int is_due(const model *m, const state *at, long output)
            && has_passed(at, 0.25 * m->constants[TRIAL], *sensor_of(m, at, output).since);
 }
 
-/* Return whether a sudden innovation of the best hypothesis may be that of an arm which was hit: if
- * it is an outlier, or follows one of its sign such that the product of both is large, too, as that
- * of noise seldom does; but no value that comes twice where noise lets none, as those of a stuck
- * sensor. */
+/* Return whether a sudden innovation of the best hypothesis may be due to a hit: it is an outlier,
+ * or its product with the previous innovation is large, too, which is rare in noise. A value that
+ * repeats although noise should let none repeat shows no hit, as the sensor may be stuck. */
 static int may_be_hit(
     const model *m, const state *at, const hypothesis *best, long output, int is_outlier,
     double size)
@@ -925,10 +925,9 @@ static int may_be_hit(
            && !(*of.repeats > 0 && hides_steps(&of, m->R[output * (m->s.p + 1)]));
 }
 
-/* Fork the best hypothesis where it takes a sample for an outlier; if the output has a disturbance,
- * sensor or arm may have jumped where a sample is only unlikely, and soon after a hit or another
- * start the arm may be elsewhere. Return whether forks may have used the scratch of
- * `expect_outputs`. */
+/* Fork the best hypothesis at each outlier. If the output has a disturbance, a sudden innovation is
+ * enough to suppose a jump or a hit and, soon after a hit or another start, that the arm is
+ * elsewhere. Return whether forks may have used the scratch of `expect_outputs`. */
 static int fork_best(const model *m, const state *at, correction *effect)
 {
     const hypothesis best = best_of(m, at);
@@ -955,7 +954,7 @@ static int fork_best(const model *m, const state *at, correction *effect)
     return forked;
 }
 
-/* Start the covariance of a lone hypothesis again if it leaves out most samples. */
+/* Reset the covariances of a lone hypothesis if it leaves out most samples. */
 static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, correction *effect)
 {
     const double share = share_of(counted_time(m, *at->since), m->constants[PATIENCE]);
@@ -966,13 +965,13 @@ static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, c
     }
     *h->inlier += present * share * (used - *h->inlier);
     if (*h->inlier < m->constants[REJECTING] && *h->age >= m->constants[PATIENCE]) {
-        open_all(m, h);
+        reset_covariances(m, h);
         *h->inlier = 1.0;
         *h->age = 0.0;
     }
 }
 
-/* Correct a hypothesis of the bank. */
+/* Correct a hypothesis of the bank, and update its score. */
 static void use_sample(const model *m, state *at, long place, correction *effect)
 {
     hypothesis h = hypothesis_of(m, at, place);
@@ -981,7 +980,7 @@ static void use_sample(const model *m, state *at, long place, correction *effect
         expect_outputs(m, at, &h, effect);
     }
     if (place == AS_DESIGNED && *at->awake > 0.0) {
-        turn_tones(m, at, effect);
+        update_tones(m, at, effect);
     }
     for (long i = 0; *h.fork == STUCK && i < m->s.p; i++) {
         outlook_of(effect, i)->used &= *sensor_of(m, at, i).repeats == 0;
@@ -990,7 +989,7 @@ static void use_sample(const model *m, state *at, long place, correction *effect
     *h.score += *h.fork != STUCK ? likelihood : 0.0;
 }
 
-/* Correct all hypotheses, and fork the best one where it does not expect a sample. */
+/* Correct all hypotheses, and fork the best one if it does not expect the sample. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
     judge_repeats(m, at, effect);
@@ -1009,7 +1008,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
         activate_bank(m, at);
     }
     *at->outliers += outliers;
-    /* What begins as a copy of the best one, which is last, is none that was corrected already. */
+    /* The best one is last, so that its forks, corrected as they begin, are not corrected again. */
     for (long i = m->s.hypotheses - 1; i >= 0; i--) {
         if (i != best && *hypothesis_of(m, at, i).live != 0) {
             use_sample(m, at, i, effect);
@@ -1023,12 +1022,12 @@ static void correct_bank(const model *m, state *at, correction *effect)
             if (*h.kind == TONE) {
                 drop(m, &h);
             } else {
-                renew(m, at, i);
+                begin_standing(m, at, i);
             }
         }
     }
     propose_tones(m, at, effect);
-    compare(m, at); /* a tone that ends, or what is not finite, may have been the best */
+    compare(m, at); /* the best one may have been a tone that ends, or not finite */
     suppose_otherwise(m, at);
     deactivate_bank(m, at);
 }
@@ -1062,8 +1061,8 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     }
 }
 
-/* Return whether a covariance is below the certificate's bound, and of a T-S system not far below:
- * a gain for rules that differ much may be far worse than that of the estimate. */
+/* Return whether a hypothesis' covariance is below the certified bound and, for a T-S system, not
+ * far below it: one gain for rules that differ much may be far worse than Riccati's. */
 static int is_covered(const model *m, const hypothesis *h, double *difference)
 {
     const long n = m->s.n, width = m->s.width;
@@ -1080,8 +1079,8 @@ static int is_covered(const model *m, const hypothesis *h, double *difference)
     return is_nonnegative(difference, n);
 }
 
-/* The certified bound serves the whole interval to the next regular sample, and with `late_factor`
- * a period beyond. */
+/* The certified bound holds for the whole interval to the next regular sample and, times
+ * `late_factor`, for one more period. */
 void predict(const model *m, state *at, double duration, int between_samples, work *scratch)
 {
     const double shortest = between_samples ? 0.0 : *m->shortest;

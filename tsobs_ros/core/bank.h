@@ -1,7 +1,7 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * What the parts of the estimator share: filter.c (one hypothesis), bank.c (all), readout.c.
+ * Functions shared by filter.c (one hypothesis), bank.c (all of them) and readout.c.
  */
 #ifndef TSOBS_BANK_H
 #define TSOBS_BANK_H
@@ -9,7 +9,7 @@
 #include "arithmetic.h"
 #include "estimator.h"
 
-/* The smaller and the larger of two numbers; the first if one of them is NaN. */
+/* Return the smaller and the larger of two numbers; the first one if either is NaN. */
 static inline double minimum(double a, double b)
 {
     return b < a ? b : a;
@@ -25,26 +25,26 @@ static inline double clip(double value, double least, double most)
     return minimum(maximum(value, least), most);
 }
 
-/* Return the time since a sample for which it counts in averages: after a gap they go on where they
- * were. */
+/* Return the time that a sample counts for in averages: that since the last one, but at least a
+ * period, and at most the longest regular step, so that a gap does not erase the averages. */
 static inline double counted_time(const model *m, double since)
 {
     return clip(since, *m->period, *m->longest);
 }
 
-/* Return the share that a duration has in an average over a time constant. */
+/* Return the weight, in an average over `time`, of a value that stands for `duration`. */
 static inline double share_of(double duration, double time)
 {
     return minimum(duration / time, 1.0);
 }
 
-/* Size of an output's white noise relative to the design's, at least 1. */
+/* Return the size of an output's white noise relative to the design's, at least 1. */
 static inline double noise_of(const model *m, const state *at, long output)
 {
     return maximum(*sensor_of(m, at, output).noise_scale, 1.0);
 }
 
-/* The largest of these sizes. */
+/* Return the largest such size of all outputs. */
 static inline double scale_of(const state *at)
 {
     return maximum(*at->noise_scale, 1.0);
@@ -63,26 +63,26 @@ static inline int is_stuck(const model *m, const state *at, long output)
     return *m->supervised != 0 && 0 < *m->stuck_samples && *m->stuck_samples <= repeats;
 }
 
-/* Return whether a hypothesis counts in what is read. */
+/* Return whether a hypothesis is likely enough to count in the published estimate. */
 static inline int counts(const model *m, const hypothesis *h)
 {
     return *h->live != 0 && *h->score >= -0.8 * m->constants[FLOOR];
 }
 
-/* Return a power of slow innovations relative to what white noise leaves of it. */
+/* Return a power of slow innovations relative to the power that white noise leaves in them. */
 static inline double slowness_of(const model *m, const hypothesis *h, double power)
 {
     return power / (m->constants[QUIET] * *h->nis);
 }
 
-/* Return half the way from a frequency to the next one that is looked for. */
+/* Return half the distance from a frequency to the next one at which tones are looked for. */
 static inline double halfway_from(const model *m, double frequency)
 {
     return 0.5 * (m->constants[TONE_RATIO] - 1.0) * frequency;
 }
 
-/* Return the place of FORCE's state: that of the unknown torque, or behind it if it is at the link,
- * so that it stays in a gap. */
+/* Return the place of FORCE's state: that of the unknown torque, or the next one if FORCE is at the
+ * link, as a gap needs the torque's state beside it. */
 static inline long force_place(const model *m)
 {
     return m->s.n + (*m->at_link != 0);
@@ -90,37 +90,37 @@ static inline long force_place(const model *m)
 
 /* --- bank.c: torques --- */
 
-/* Return the mean of the torque at the motor over a time that begins `ahead` from now; there are
- * past ones. */
+/* Return the mean torque at the motor over a duration that begins `ahead` from now. The state must
+ * have past torques. */
 double mean_torque(const model *m, const state *at, double ahead, double duration);
 
 /* --- filter.c: one hypothesis --- */
 
-/* Return the states in use: the design's, and the auxiliary ones that can differ from 0. */
+/* Return the number of states in use: the design's and the auxiliary ones that may not be 0. */
 long states_in_use(const model *m, const hypothesis *h);
 
-/* Add the auxiliary states that are part of an output to its row of the others. */
+/* Add to an output's row of C the auxiliary states that are part of the output. */
 void add_parts(const model *m, const hypothesis *h, long output, double *row);
 
-/* Take the certificate's bound for the covariance, from where Riccati gains go on. */
+/* Leave the certified gain: Riccati gains go on from the certified bound as the covariance. */
 void leave_certified(const model *m, const state *at, const hypothesis *h, int64_t cause);
 
-/* Write how a hypothesis expects each output. */
+/* Write the outlook of each output by a hypothesis. */
 void expect_outputs(const model *m, const state *at, const hypothesis *h, correction *effect);
 
-/* Correct by the outputs that `expect_outputs`, called just before, found in use, and learn; return
- * the logarithm of the likelihood of the sample. */
+/* Correct by the outputs that `expect_outputs`, called just before, has marked as used, and learn.
+ * Return the sample's log-likelihood. */
 double correct_hypothesis(const model *m, const state *at, hypothesis *h, correction *effect);
 
-/* Correct by one output, whatever it is; return the logarithm of its likelihood. is_expected:
- * whether `effect` has what is expected of it. */
+/* Correct by one output, even if it is an outlier; return its log-likelihood. is_expected: whether
+ * `effect` has the output's present outlook. */
 double correct_by(
     const model *m, const state *at, hypothesis *h, long output, int is_expected, int adapt,
     correction *effect);
 
-/* A time in steps: whole nominal ones, and one of another length unless that is 0; what is left
- * after each of what decays, by the place of its time constant in the bank's, 0 if not known yet;
- * and the variance that an unknown torque gains in a second, 0 if the torque is known. */
+/* A prediction's duration in steps: `whole` nominal ones, and one for the rest unless that is 0.
+ * left: decay factors over either step, by the place of the time constant, 0 until computed.
+ * forgotten: variance that an unknown torque gains per second, 0 if the torque is known. */
 typedef struct {
     double duration, forgotten;
     int64_t whole;
@@ -129,10 +129,10 @@ typedef struct {
     flow_step work;
 } course;
 
-/* Return the steps of a time; their linear flow is kept in scratch. */
+/* Return the steps of a duration; scratch keeps their linear flow. */
 course course_over(const model *m, double duration, double forgotten, work *scratch);
 
-/* Predict with held inputs. */
+/* Predict with held inputs; if simple, without the covariance and the auxiliary states. */
 void predict_hypothesis(
     const model *m, const state *at, hypothesis *h, course *along, int simple, work *scratch);
 

@@ -2,17 +2,17 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * Exported designs: a head, the model record, and the memory record of a new tracker, as 8-byte
- * words. The lengths of a tracker's other memories follow from these.
+ * words. The size of a tracker's room follows from these.
  */
 #include <string.h>
 
 #include "tsobs.h"
 
-/* The text "tsobs-c", read as a little-endian number; of another byte order it is another one. */
+/* The text "tsobs-c" as a little-endian number; in another byte order it is another number. */
 #define MAGIC UINT64_C(0x00632d73626f7374)
 #define HEAD (sizeof(exported_head) / 8)
 
-/* Add bytes to a checksum (Fowler, Noll and Vo's), which begins as EMPTY. */
+/* Add bytes to a checksum (FNV-1a of Fowler, Noll and Vo), which begins as EMPTY. */
 #define EMPTY UINT64_C(0xcbf29ce484222325)
 static uint64_t add_bytes(uint64_t sum, const void *bytes, size_t count)
 {
@@ -25,7 +25,7 @@ static uint64_t add_bytes(uint64_t sum, const void *bytes, size_t count)
 #define ADD_FIELD(kind, name, rows, columns) #kind " " #name " " #rows " " #columns ","
 #define ADD_CONSTANT(name, value, what) #name ","
 
-/* Return a number that is another one if any field of the records in an exported design is. */
+/* Return a checksum of all fields of an exported design's records: it changes with any of them. */
 static uint64_t layout_of_records(void)
 {
     static const char *const lists[] = {
@@ -76,7 +76,7 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
     }
     const history start = history_view(NULL, (double *)view->memory);
     if (*start.first != 0 || *start.length != 0 || !history_is_sound(&start)) {
-        return "no tracker that is new";
+        return "its tracker is not new";
     }
     view->sizes = m.s;
     const room_sizes sizes = room_for(&view->sizes, *start.max_steps);

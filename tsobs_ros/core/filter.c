@@ -1,17 +1,17 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * One hypothesis: a filter along the estimate, whatever it supposes.
+ * One hypothesis: a filter along the estimate, the same for all kinds.
  *
- * The premise variable is the estimate itself; the flow's closed form of the T-S blend is exact on
- * the domain. The gain is that of Riccati (Kalman), or, as designed and once the certificate's
- * bound X covers the error covariance, the constant certified one until a sample is amiss.
+ * The premise variable is the estimate itself; the flow equals the T-S blend of the rules on the
+ * domain. The gain is Riccati's (Kalman's). AS_DESIGNED takes the constant certified gain instead
+ * once the certified bound X covers its error covariance, until a sample is missing or irregular.
  *
  * Parameters are learnt by a filtered-regressor (two-stage) adaptive observer after Q. Zhang
  * (2002): the regressor Upsilon = dx/dtheta is filtered through the observer's own error dynamics,
  * so that the innovation is explained as e = Omega (theta - theta^) + noise with Omega = C Upsilon.
- * A change of theta follows by recursive least squares, projected on its known bounds, and is used
- * from when it is significant. What was learnt far from the truth, along wrong regressors, is
+ * A change of theta is estimated by recursive least squares, projected onto theta's known bounds,
+ * and used once it is significant. What was learnt far from the truth, along wrong regressors, is
  * learnt again.
  */
 #include "bank.h"
@@ -66,7 +66,7 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
 
 /* --- correction --- */
 
-/* Return a . b, where most of a is 0. */
+/* Return a . b for an a that is mostly 0. */
 static double sparse_dot(const double *a, const double *b, long n)
 {
     double total = 0.0;
@@ -76,8 +76,8 @@ static double sparse_dot(const double *a, const double *b, long n)
     return total;
 }
 
-/* Return what the filter expects of an output; write the states' part in that, `row`, and unless
- * the gain is the certified one, the covariance of the innovation with those in use, `crossed`. */
+/* Return an output's outlook for exact parameters. Write its derivative by the states (row) and,
+ * unless the gain is certified, the innovation's covariance with the states in use (crossed). */
 static outlook expect(
     const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
@@ -98,8 +98,8 @@ static outlook expect(
     return of;
 }
 
-/* Return what a sample costs a hypothesis: one that leaves slow innovations is wrong, however small
- * they are. A tone may leave none, as a wrong model of the arm may look like one. */
+/* Return the price of a sample. It rises with slow innovations: however small, they show that a
+ * hypothesis is wrong. TONE pays more, as a wrong model of the arm may look like a tone. */
 static double price_of(const model *m, const hypothesis *h)
 {
     const double slowness = slowness_of(m, h, *h->slow_power);
@@ -110,9 +110,9 @@ static double price_of(const model *m, const hypothesis *h)
     return m->constants[SLOW_PRICE] * price;
 }
 
-/* Look at a sample; write Omega = C Upsilon. The likelihood of an outlier is the same wherever the
- * sample is, and whatever the filter expects. */
-static outlook look(
+/* Return the outlook of an output; write Omega = C Upsilon. The likelihood of an outlier is the
+ * same wherever the sample is, and whatever the filter expects. */
+static outlook judge(
     const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
     const long k = m->s.k, p = m->s.p, width = m->s.width, used = states_in_use(m, h);
@@ -141,12 +141,12 @@ static outlook look(
 void expect_outputs(const model *m, const state *at, const hypothesis *h, correction *effect)
 {
     for (long i = 0; i < m->s.p; i++) {
-        *outlook_of(effect, i) = look(m, at, h, i, effect);
+        *outlook_of(effect, i) = judge(m, at, h, i, effect);
     }
 }
 
-/* Follow the innovations: averages over a second, and the slow part. */
-static void follow(
+/* Update the averages of innovations over a second, and the power of their slow part. */
+static void track_innovations(
     const model *m, const state *at, hypothesis *h, long output, const outlook *of)
 {
     const double elapsed = counted_time(m, *sensor_of(m, at, output).since);
@@ -166,10 +166,10 @@ static void follow(
     *h->lasting += share_of(elapsed, longer) / outputs * (minimum(power, most) - *h->lasting);
 }
 
-/* Return by how much less than one of the design an innovation shows of parameters: by the mean
- * of the covariance relative to the certified bound, as regressors are wrong where x^ is; by what
- * was measured of the innovations; and as neighbours that are alike, by more than the three sigmas
- * of white noise, repeat each other. */
+/* Return the factor by which the variance of an innovation is larger for learning parameters. It
+ * has three parts: the mean of the covariance relative to the certified bound, as regressors are
+ * wrong if x^ is; the measured power of innovations; and their correlation beyond the three sigmas
+ * of white noise, as neighbours that are alike repeat each other. */
 static double inflation_of(const model *m, const hypothesis *h)
 {
     const long n = m->s.n, width = m->s.width;
@@ -186,14 +186,14 @@ static double inflation_of(const model *m, const hypothesis *h)
     return inflation * (maximum(*h->nis, 1.0) * ((1.0 + alike) / (1.0 - alike)));
 }
 
-/* Correct the parameters' covariance and the pending change of them by one output. At rest,
- * regressors are the noise of the estimate: what they show is as likely false. */
+/* Correct the parameters' covariance and pending change by one output. At rest the regressors are
+ * the noise of the estimate, so noise_share counts what is learnt then as possibly false. */
 static void adapt_by(
     const model *m, const state *at, hypothesis *h, const double *omega, const outlook *of,
     double inflation, double *cross)
 {
     const long k = m->s.k;
-    /* A filter whose regressors are taken to be right knows of no noise in them. */
+    /* If CURVED is 0, regressors are taken to be right, and so without noise. */
     const double stillness = m->constants[CURVED] > 0.0 ? *at->stillness : 0.0;
     double known = 0.0;
     for (long a = 0; a < k; a++) {
@@ -215,8 +215,8 @@ static void adapt_by(
     }
 }
 
-/* Use the pending change of the parameters from when it is significant on, or at once if the model
- * is supposed to be wrong. */
+/* Use the pending change of the parameters once one has been significant, or at once for IMPERFECT,
+ * which supposes a wrong model. */
 static void use_pending(const model *m, hypothesis *h, correction *effect)
 {
     const long k = m->s.k, used = states_in_use(m, h);
@@ -273,10 +273,10 @@ double correct_by(
 {
     const double inflation = adapt ? inflation_of(m, h) : 1.0;
     const double *omega = effect->omega + output * m->s.k;
-    const outlook of = is_expected ? *outlook_of(effect, output) : look(m, at, h, output, effect);
+    const outlook of = is_expected ? *outlook_of(effect, output) : judge(m, at, h, output, effect);
     correct_estimate(m, h, output, &of, effect);
     if (*m->supervised != 0) {
-        follow(m, at, h, output, &of);
+        track_innovations(m, at, h, output, &of);
     }
     correct_regressors(m, h, omega, effect->gain, of.known);
     if (adapt) {
@@ -285,8 +285,8 @@ double correct_by(
     return of.likelihood;
 }
 
-/* Begin another pass of learning: what the last one moved is wrong by a share of it, as its
- * regressors were; and what it learnt of noise is learnt again once the plant moves more. */
+/* Begin another pass of learning after the last. What that has changed is wrong by a share of it,
+ * as its regressors were; what noise has taught is learnt again once the plant moves more. */
 static void begin_pass(const model *m, const state *at, hypothesis *h)
 {
     const long k = m->s.k;
@@ -319,14 +319,14 @@ double correct_hypothesis(const model *m, const state *at, hypothesis *h, correc
         return likelihood;
     }
     int is_expected = *h->certified == 0 || used == m->s.p;
-    if (used < m->s.p) { /* the certified gain is for all outputs together */
+    if (used < m->s.p) { /* the certified gain needs all outputs */
         leave_certified(m, at, h, BASIS_GAP);
     }
     for (long i = 0; i < m->s.p; i++) {
         const outlook *of = outlook_of(effect, i);
         if (of->used) {
             likelihood += correct_by(m, at, h, i, is_expected, adapt, effect) - of->likelihood;
-            is_expected = *h->certified != 0; /* other gains change what is expected of the next */
+            is_expected = *h->certified != 0; /* Riccati gains change the next outlook */
         }
     }
     *h->corrected = 1;
@@ -339,7 +339,7 @@ double correct_hypothesis(const model *m, const state *at, hypothesis *h, correc
 
 /* --- prediction --- */
 
-/* Return how much is left after a step of what decays with a time constant of the bank. */
+/* Return the decay factor over a step for a time constant of the bank; `left` keeps it. */
 static double left_after(const model *m, double duration, int time, double *left)
 {
     if (left[time] == 0.0) {
@@ -348,8 +348,8 @@ static double left_after(const model *m, double duration, int time, double *left
     return left[time];
 }
 
-/* Write the auxiliary states' own motion over a step, a = D a + noise, into D, a matrix whose rows
- * begin `stride` numbers apart, and the noise's variances. */
+/* Write the auxiliary states' own motion over a step, a+ = D a + noise: D, whose rows begin
+ * `stride` numbers apart, and the variances of the noise (added). */
 static void write_own_motion(
     const model *m, const hypothesis *h, course *along, int is_rest, long stride, double *D,
     double *added)
@@ -389,7 +389,7 @@ static void write_own_motion(
     }
 }
 
-/* Move the regressors and, unless it is `simple`, the covariance of the states in use by F. */
+/* Propagate the regressors and, unless simple, the covariance of the states in use by F. */
 static inline void move_by(
     const model *m, const double *F, const flow_step *step, hypothesis *h, int simple,
     work *scratch, long used)
@@ -410,12 +410,12 @@ static inline void move_by(
     }
 }
 
-/* Take a step with signals u: move x, the regressors and, unless it is `simple`, the covariance,
- * by the map of the design's states and the auxiliary ones
+/* Take a step with signals u: propagate x, the regressors and, unless simple, the covariance, by
  *
- *     F = [J g e'; 0 D],   g what the unknown torque, the first of these, pushes,
+ *     F = [J g e'; 0 D]
  *
- * or the second, an acceleration of the link: half a kick before the step and half behind it. */
+ * for design's and auxiliary states. g is the effect of the first auxiliary state, the unknown
+ * torque. FORCE at the link adds that of the second: half a kick at each end of the step. */
 static void step_hypothesis(
     const model *m, hypothesis *h, course *along, int is_rest, double *u, int simple, work *scratch)
 {
@@ -455,7 +455,7 @@ static void step_hypothesis(
             moved[i] = sparse_dot(map + corner + i * used, h->x + n, count);
         }
         for (long i = 1; *h->kind == TONE && i < count; i += 3) {
-            double *row = map + corner + i * used; /* a faster tone would have turned further */
+            double *row = map + corner + i * used; /* a higher frequency turns it further */
             row[i + 2] = over->duration * moved[i + 1];
             row[used + i + 2] = -(over->duration * moved[i]);
         }
@@ -467,7 +467,7 @@ static void step_hypothesis(
     }
 }
 
-/* Let the excitation fade and Gamma grow, but no variance beyond the initial one. */
+/* Let the excitation fade, and let Gamma grow, but no variance beyond its prior. */
 static void forget_slowly(const model *m, hypothesis *h, double duration)
 {
     const long k = m->s.k;
@@ -483,7 +483,7 @@ static void forget_slowly(const model *m, hypothesis *h, double duration)
     }
 }
 
-/* Stamps jitter: the last step is up to STRETCH periods long. */
+/* The last step may be up to STRETCH periods long, as stamps jitter. */
 #define STRETCH 1.25
 course course_over(const model *m, double duration, double forgotten, work *scratch)
 {
@@ -525,12 +525,12 @@ void predict_hypothesis(
         step_hypothesis(m, h, along, is_rest, u, simple, scratch);
     }
     if ((*h->kind == IMPERFECT || *h->kind == TONE) && !simple) {
-        /* What is left of a tone moves the arm's estimate, but its model is not that wrong. */
+        /* The rest of a tone moves the arm's estimate, but less than IMPERFECT's wrong model. */
         const double imperfection = m->constants[IMPERFECTION];
         const double more = ((*h->kind == TONE ? sqrt(sqrt(imperfection)) : imperfection) - 1.0)
                             * (duration / *m->period);
         const double half = *f->kind == KIND_SYSTEM ? 2.0 : 1.0;
-        /* In a long gap the motor is not explained either. */
+        /* In a long gap the design does not explain the motor, either. */
         const int is_known = along->forgotten == 0.0 || duration < 8.0 * *m->period;
         const int at_link = *m->at_link != 0 && *h->kind == IMPERFECT && is_known;
         const long moved = at_link ? 2 : m->s.plant; /* the link's states, or all */
@@ -550,13 +550,13 @@ void predict_hypothesis(
 
 enum { LINK_VELOCITY = 1, MOTOR_VELOCITY = 3 };
 
-/* pi/2: v / sqrt(v^2 + pi/2) has the slope of the mean sign of a normal variable at v = 0. */
+/* pi/2. At v = 0, v / sqrt(v^2 + pi/2) has the slope of the mean sign of a variable of N(v, 1). */
 static const double HALF_PI = 1.5707963267948966;
 
-/* Slow a velocity, whose distribution is normal, by Coulomb friction over half a step.
+/* Slow a velocity with a normal distribution by Coulomb friction over half a step.
  *
- * The mean changes by that of the velocity's sign, and not beyond rest; deviations shrink by the
- * slope of that mean (statistical linearisation), implicitly, as it may be steep. */
+ * The mean changes by `change` times that of the velocity's sign, but not beyond rest. Deviations
+ * shrink by the slope of that mean (statistical linearisation), implicitly, as it may be steep. */
 static void rub(double change, long place, long n, long width, double *x, double *P)
 {
     const double variance = P[place * width + place];

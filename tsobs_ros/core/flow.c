@@ -3,9 +3,9 @@
  *
  * One step of a prediction model: an arm or a T-S system.
  *
- * They move by the exact flow of their linear part, Phi' = A Phi, Gamma' = A Gamma + B,
- * Q' = A Q + Q A' + W, from Taylor series with precomputed coefficients: a step of any length costs
- * one evaluation of polynomials, which matters because real stamps jitter.
+ * The linear part has an exact flow: Phi' = A Phi, Gamma' = A Gamma + B, Q' = A Q + Q A' + W. Its
+ * Taylor series has precomputed coefficients, so that a step of any length costs one evaluation of
+ * polynomials. This matters because real stamps jitter.
  */
 #include "flow.h"
 
@@ -43,7 +43,7 @@ linear_step other_step(const flow *f, double duration, const flow_step *work)
     const linear_step step = {duration, work->phi, work->gamma, work->noise};
     const long n = sizes_of(f)->n, m = sizes_of(f)->inputs, count = n * (2 * n + m);
     double *phi = work->phi, *gamma = work->gamma, *noise = work->noise, *scratch = work->squares;
-    double *all = phi; /* the three are one behind the other */
+    double *all = phi; /* phi, gamma and noise are contiguous */
     double time = *f->kind == KIND_ARM ? duration : 0.5 * duration;
     long doublings = 0;
     for (; time > *f->reach; time *= 0.5) {
@@ -68,9 +68,9 @@ linear_step other_step(const flow *f, double duration, const flow_step *work)
 
 /* --- arms --- */
 
-/* Kick both velocities by gravity and by theta for half a step, whose effects sum to `total`;
- * and if so asked, the rows of effects with them, and write the kick's Jacobian less I: the rows
- * of both velocities. */
+/* Kick both velocities over half a step by `total`, the summed effects of gravity and theta. Unless
+ * NOTHING is wanted, also kick the rows of effects, and write the velocities' two rows of the
+ * kick's Jacobian minus I. */
 static void kick_arm(
     const flow *f, const double *total, double torque, double half, double *x, int is_first,
     int wanted, const flow_step *work, long n)
@@ -79,7 +79,7 @@ static void kick_arm(
     double *rows = work->vectors, causes[CAUSES], cos;
     memcpy(causes, x, 4 * sizeof *x);
     sine_and_cosine(x[0], &causes[BY_SINE], &cos);
-    /* What theta does to the known torque, it does to its unknown part, states of a disturbance. */
+    /* theta acts on the known torque and on the unknown one, of disturbance states, alike. */
     causes[BY_TORQUE] = torque + dot(f->motor_torque + 4, x + 4, n - 4);
     causes[BY_EXTERNAL] = dot(f->link_torque + 4, x + 4, n - 4);
     x[1] += dot(total, causes, CAUSES);
@@ -87,15 +87,15 @@ static void kick_arm(
     if (wanted == NOTHING) {
         return;
     }
-    for (long of = 0; of < 2; of++) {
-        const double *by = total + of * CAUSES;
+    for (long side = 0; side < 2; side++) {
+        const double *by = total + side * CAUSES;
         for (long j = 0; j < n; j++) {
-            /* 0.0 is added to make 0 of -0, here and below. */
-            rows[of * n + j] = j < 4 ? by[j]
-                                     : 0.0 + by[BY_TORQUE] * f->motor_torque[j]
-                                           + by[BY_EXTERNAL] * f->link_torque[j];
+            /* Here and below, adding 0.0 turns -0 into 0. */
+            rows[side * n + j] = j < 4 ? by[j]
+                                       : 0.0 + by[BY_TORQUE] * f->motor_torque[j]
+                                             + by[BY_EXTERNAL] * f->link_torque[j];
         }
-        rows[of * n] += by[BY_SINE] * cos;
+        rows[side * n] += by[BY_SINE] * cos;
     }
     for (long i = 0; i < k + (wanted == COVARIANCE); i++) {
         const double *by = f->effects + 2 * i * CAUSES, *push = total + BY_TORQUE;
@@ -107,7 +107,7 @@ static void kick_arm(
     }
 }
 
-/* Write K M into M (n, n), for K = I + rows (2, n) of x_2 and x_4. */
+/* Replace M (n, n) by K M, where K is I with `rows` (2, n) added to its rows of x_2 and x_4. */
 static void shear_rows(long n, const double *rows, double *changes, double *M)
 {
     combine(rows, M, n, changes, 0, n, n);
@@ -116,13 +116,13 @@ static void shear_rows(long n, const double *rows, double *changes, double *M)
     add_scaled(M + 3 * n, 1.0, changes + n, n);
 }
 
-/* Write K S K' into S, symmetric. */
+/* Replace a symmetric S by K S K'. */
 static void shear(long n, const double *rows, double *changes, double *S)
 {
     const double *link = rows, *motor = rows + n;
     double *at_link = S + n, *at_motor = S + 3 * n;
     shear_rows(n, rows, changes, S);
-    /* Of the columns only what is in these rows is not known yet, as S is symmetric. */
+    /* K' changes two columns: by symmetry they become the rows. Only the crossings are new. */
     const double corner = dot(link, at_link, n), both = dot(link, at_motor, n);
     at_motor[3] += dot(motor, at_motor, n);
     at_link[1] += corner;
@@ -157,7 +157,7 @@ static inline void step_arm(
     if (wanted != NOTHING) {
         for (long row = 0; row < k + (wanted == COVARIANCE); row++) {
             double *effect = work->effects + row * n;
-            const double at_link = effect[1], at_motor = effect[3]; /* the rest is 0 */
+            const double at_link = effect[1], at_motor = effect[3]; /* the others are 0 */
             for (long i = 0; i < n; i++) {
                 effect[i] = 0.0 + over->phi[i * n + 1] * at_link + over->phi[i * n + 3] * at_motor
                             + (row == k ? over->gamma[i * inputs] : 0.0);
@@ -182,16 +182,16 @@ static inline void step_arm(
 
 /* --- T-S systems --- */
 
-/* Write what enters x in addition to the linear flow, sum of h_i (D_i + sum of theta times
- * directions) [x; u], and unless NULL its Jacobian, and its derivatives by theta, (k, n). */
-static void enter(
-    const flow *f, const double *x, const double *theta, const double *u, double *entering,
+/* Write the remainder, which x' has beside the linear flow: sum of h_i (D_i + sum of theta times
+ * directions) [x; u]. Unless `jacobian` is NULL, write it, and the derivatives by theta, (k, n). */
+static void write_remainder(
+    const flow *f, const double *x, const double *theta, const double *u, double *remainder,
     double *jacobian, double *direct, const flow_step *work)
 {
     const flow_sizes *s = sizes_of(f);
     const long n = s->n, k = s->k, rules = s->rules, plant = s->plant, premises = s->premises;
     const long inputs = s->inputs, signals = plant + inputs, scheduled = s->m - inputs;
-    double *signal = work->signals, *entries = signal + signals, *turning = work->rates;
+    double *signal = work->signals, *entries = signal + signals, *weight_slope = work->rates;
     memcpy(signal, x, (size_t)plant * sizeof *signal);
     memcpy(signal + plant, u, (size_t)inputs * sizeof *signal);
     for (long j = 0; j < premises; j++) {
@@ -201,7 +201,7 @@ static void enter(
     rule_weights(
         f->shapes, f->parameters, work->premises, work->weights, jacobian ? work->slopes : NULL,
         rules, premises);
-    memset(entering, 0, (size_t)n * sizeof *entering);
+    memset(remainder, 0, (size_t)n * sizeof *remainder);
     if (jacobian != NULL) {
         memset(jacobian, 0, (size_t)(n * n) * sizeof *jacobian);
         memset(direct, 0, (size_t)(k * n) * sizeof *direct);
@@ -209,9 +209,9 @@ static void enter(
     for (long rule = 0; rule < rules; rule++) {
         const double weight = work->weights[rule];
         for (long j = 0; jacobian != NULL && j < plant; j++) {
-            turning[j] = 0.0; /* what the rule's weight changes by */
+            weight_slope[j] = 0.0;
             for (long q = 0; q < premises; q++) {
-                turning[j] += work->slopes[rule * premises + q] * f->premise[q * plant + j];
+                weight_slope[j] += work->slopes[rule * premises + q] * f->premise[q * plant + j];
             }
         }
         for (long i = 0; i < plant; i++) {
@@ -221,10 +221,10 @@ static void enter(
                 add_scaled(entries, theta[p], f->directions + p * all + row, signals);
             }
             const double total = dot(entries, signal, signals);
-            entering[i] += weight * total;
+            remainder[i] += weight * total;
             if (jacobian != NULL) {
                 add_scaled(jacobian + i * n, weight, entries, plant);
-                add_scaled(jacobian + i * n, total, turning, plant);
+                add_scaled(jacobian + i * n, total, weight_slope, plant);
                 for (long p = 0; p < k; p++) {
                     direct[p * n + i]
                         += weight * dot(f->directions + p * all + row, signal, signals);
@@ -234,7 +234,7 @@ static void enter(
     }
 }
 
-/* Write the linearisation of a step by the Jacobians N1, N2 of what enters, which are overwritten:
+/* Write the linearisation of a step from the remainder's Jacobians N1, N2, which are overwritten:
  * J = Phi [Phi + T N2 Phi (I + (T/2) N1)], noise Phi (I + T N2) n1 + n2. */
 static void linearise_system(
     const flow *f, const linear_step *over, double *N1, double *N2, int wanted,
@@ -253,7 +253,7 @@ static void linearise_system(
         }
         multiply(over->phi, other, work->effects + p * n, n, n, 1);
     }
-    /* The push: what is unknown of the first input enters by the rules' mean, in both halves. */
+    /* The push: a change of the first input acts through the rules' mean, in both halves. */
     for (long i = 0; i < n; i++) {
         one[i] = inputs > 0 ? over->gamma[i * inputs] : 0.0;
     }
@@ -278,27 +278,27 @@ static void linearise_system(
     congruence(outer, work->Q, n, over->noise, n, scratch, n);
 }
 
-/* Take the exponential midpoint step: what enters is evaluated in the middle, which half a step
- * from the start leads to; `over` is the linear flow over half a step. */
+/* Take a step by the exponential midpoint rule: half a step leads to the middle, where the
+ * remainder for the whole step is evaluated. `over` is the linear flow over half a step. */
 static void step_system(
     const flow *f, const linear_step *over, double *x, const double *theta, const double *u,
     int wanted, const flow_step *work)
 {
     const long n = sizes_of(f)->n, k = sizes_of(f)->k, inputs = sizes_of(f)->inputs;
-    double *forced = work->vectors, *moved = forced + n, *entering = moved + n;
-    double *middle = entering + n;
+    double *forced = work->vectors, *moved = forced + n, *remainder = moved + n;
+    double *middle = remainder + n;
     double *N1 = wanted != NOTHING ? work->squares : NULL, *N2 = N1 != NULL ? N1 + n * n : NULL;
     for (long i = 0; i < n; i++) {
         forced[i] = dot(over->gamma + i * inputs, u, inputs);
         moved[i] = dot(over->phi + i * n, x, n) + forced[i];
     }
-    enter(f, x, theta, u, entering, N1, work->direct, work);
-    multiply(over->phi, entering, middle, n, n, 1);
+    write_remainder(f, x, theta, u, remainder, N1, work->direct, work);
+    multiply(over->phi, remainder, middle, n, n, 1);
     for (long i = 0; i < n; i++) {
         middle[i] = moved[i] + 0.5 * over->duration * middle[i];
     }
-    enter(f, middle, theta, u, entering, N2, work->direct + k * n, work);
-    add_scaled(moved, over->duration, entering, n);
+    write_remainder(f, middle, theta, u, remainder, N2, work->direct + k * n, work);
+    add_scaled(moved, over->duration, remainder, n);
     multiply(over->phi, moved, x, n, n, 1);
     add_scaled(x, 1.0, forced, n);
     if (wanted != NOTHING) {

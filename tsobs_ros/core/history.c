@@ -11,32 +11,32 @@ static const double NANOSECONDS = 1e9;
 
 /* --- the ring --- */
 
-/* Return where the numbers of a state are, given its place from the oldest on. */
+/* Return the numbers of the state at a place, counted from the oldest state. */
 static double *numbers_at(const tracker *t, int64_t place)
 {
     const int64_t slot = (*t->h.first + place) % *t->h.turn;
     return t->room.ring + (size_t)slot * t->state_size;
 }
 
-/* Return the state at a place from the oldest on. */
+/* Return the state at a place, counted from the oldest state. */
 static state state_at(const tracker *t, int64_t place)
 {
     return state_view(&t->m.s, numbers_at(t, place));
 }
 
-/* Return the stamp of a state at a place from the oldest on [ns]; it is its first number. */
+/* Return the stamp of the state at a place [ns], which is the state's first number. */
 static int64_t stamp_at(const tracker *t, int64_t place)
 {
     return *(const int64_t *)(const void *)numbers_at(t, place);
 }
 
-/* Return the newest stamp [ns], 0 if there is none. */
+/* Return the newest stamp [ns], or 0 if there is none. */
 static int64_t newest_stamp(const tracker *t)
 {
     return *t->h.length > 0 ? stamp_at(t, *t->h.length - 1) : 0;
 }
 
-/* Return the number of states in the ring up to a stamp [ns], most often all. */
+/* Return the number of states in the ring up to a stamp [ns]; mostly these are all. */
 static int64_t count_up_to(const tracker *t, int64_t stamp)
 {
     int64_t low = 0, high = *t->h.length;
@@ -89,11 +89,11 @@ const char *tracker_bind(
 
 /* --- measurements --- */
 
-/* Return whether inputs alone are of use: new ones, in a gap that is not too long. */
+/* Return whether inputs are used without outputs: new ones, in a gap within `restart_after`. */
 static int moves_by_inputs(const tracker *t, int64_t place, int64_t stamp, const double *u)
 {
     const model *m = &t->m;
-    /* Of torques that are late at the motor one a period is remembered. */
+    /* Torques on their way to the motor are remembered, but only one per period. */
     const double least = m->s.past > 0 ? 0.5 * NANOSECONDS * *m->period : 1.0;
     double since = INFINITY;
     if (*m->gain_mode == GAIN_OPEN || m->s.m == 0 || count_finite(u, (long)m->s.m) < m->s.m
@@ -113,7 +113,7 @@ static int64_t refusal(
 {
     const history *h = &t->h;
     const int64_t place = count_up_to(t, stamp) - 1;
-    const int has_inputs = *t->m.torque_limit > 0.0 /* then a torque is judged */
+    const int has_inputs = *t->m.torque_limit > 0.0 /* then take_torque judges them */
                            || count_finite(u, (long)t->m.s.m) == t->m.s.m;
     const int has_outputs = count_finite(y, (long)t->m.s.p) > 0;
     if (!has_inputs || !(has_outputs || moves_by_inputs(t, place, stamp, u))) {
@@ -132,7 +132,7 @@ static int64_t refusal(
     return place >= 0 && stamp_at(t, place) == stamp ? DUPLICATE : USED;
 }
 
-/* Start over from the initial state, but go on counting. */
+/* Start over from the initial state, but keep the counts. */
 static void restart(tracker *t, double *numbers, state *at, int failed)
 {
     const int64_t restarts = *at->restarts + 1, failures = *at->failures + failed;
@@ -144,7 +144,7 @@ static void restart(tracker *t, double *numbers, state *at, int failed)
     *at->failures = failures;
 }
 
-/* Correct a state by a measurement; return whether what it expected of that is finite. */
+/* Correct a state by a measurement; return whether innovations and their covariance are finite. */
 static int correct_by_sample(tracker *t, state *at, const double *y, const double *u)
 {
     const int64_t p = t->m.s.p;
@@ -160,8 +160,8 @@ static int correct_by_sample(tracker *t, state *at, const double *y, const doubl
     return isfinite(total) != 0;
 }
 
-/* Forget what is too much, and what is out of reach of a late measurement, but not the last of
- * that: a rewind begins there. */
+/* Forget the oldest states: those beyond the largest number, and those out of reach of a late
+ * measurement, except for the newest of these, at which a rewind can begin. */
 static void forget_oldest(tracker *t, int64_t stamp)
 {
     history *h = &t->h;
@@ -172,8 +172,8 @@ static void forget_oldest(tracker *t, int64_t stamp)
     }
 }
 
-/* Let the ring have a slot for one more state. It goes round as few as it has needed so far, as
- * those that it comes back to soon are in the processor's cache. */
+/* Make room in the ring for one more state. The ring cycles through only as many slots as were
+ * needed so far, so that a slot is still in the processor's cache when it is used again. */
 static void widen_ring(tracker *t)
 {
     history *h = &t->h;
@@ -182,7 +182,7 @@ static void widen_ring(tracker *t)
         return;
     }
     *h->turn = 2 * turn < slots - 2 ? 2 * turn + 2 : slots;
-    if (*h->first > 0) { /* the oldest stay at the end */
+    if (*h->first > 0) { /* the oldest states move to the new end */
         double *oldest = numbers_at(t, 0);
         const size_t size = t->state_size, count = (size_t)(turn - *h->first);
         *h->first += *h->turn - turn;
@@ -190,7 +190,7 @@ static void widen_ring(tracker *t)
     }
 }
 
-/* Predict to a measurement from the newest state, correct, and remember; return the outcome. */
+/* Predict the newest state to a measurement, correct, and store it; return the outcome. */
 static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double *u)
 {
     history *h = &t->h;
@@ -231,22 +231,22 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
     return code;
 }
 
-/* Keep the measurements from a place on, to be used again; return how many they are. */
+/* Drop states from a place on, but keep their measurements for a rewind; return their number. */
 static int64_t set_aside(tracker *t, int64_t place)
 {
     const size_t p = (size_t)t->m.s.p, m = (size_t)t->m.s.m;
-    const int64_t late = *t->h.length - place;
-    for (int64_t j = 0; j < late; j++) {
+    const int64_t count = *t->h.length - place;
+    for (int64_t j = 0; j < count; j++) {
         const state step = state_at(t, place + j);
         t->room.stamps[j] = *step.stamp;
         memcpy(t->room.y + (size_t)j * p, step.y, p * sizeof *step.y);
         memcpy(t->room.u + (size_t)j * m, step.u, m * sizeof *step.u);
     }
     *t->h.length = place;
-    return late;
+    return count;
 }
 
-/* Write what became of the outputs of a measurement that was not refused. */
+/* Write the outcome of each output of a measurement that was not refused. */
 static void write_outcome(const tracker *t, const double *y, const outcomes *written, int64_t i)
 {
     const int64_t p = t->m.s.p;
@@ -259,19 +259,19 @@ static void write_outcome(const tracker *t, const double *y, const outcomes *wri
     }
 }
 
-/* Offer the measurements from one up to another. */
+/* Offer the measurements i to end - 1. */
 static void offer_some(
     tracker *t, const measurements *given, int64_t i, int64_t end, int64_t now,
     const outcomes *written)
 {
     const int64_t p = t->m.s.p, m = t->m.s.m;
-    /* In a rewind: how many measurements were set aside, and how many of them were used again. */
-    int64_t late = 0, again = 0;
-    while (i < end || again < late) {
-        /* One that is older than its predecessor waits until a rewind is over. */
+    /* In a rewind: the number of measurements set aside, and of those already used again. */
+    int64_t aside = 0, again = 0;
+    while (i < end || again < aside) {
+        /* A measurement older than the newest state waits until the rewind is over. */
         const int is_repeated =
-            again < late && (i >= end || given->stamps[i] > t->room.stamps[again] ||
-                             given->stamps[i] < newest_stamp(t));
+            again < aside && (i >= end || given->stamps[i] > t->room.stamps[again] ||
+                              given->stamps[i] < newest_stamp(t));
         if (is_repeated) {
             step_to(t, t->room.stamps[again], t->room.y + again * p, t->room.u + again * m);
             again++;
@@ -280,15 +280,15 @@ static void offer_some(
         const int64_t stamp = given->stamps[i];
         const double *y = given->y + i * p, *u = given->u + i * m;
         int64_t code = refusal(t, stamp, y, u, now);
-        if (code == USED && again < late && stamp == t->room.stamps[again]) {
+        if (code == USED && again < aside && stamp == t->room.stamps[again]) {
             code = DUPLICATE;
         }
         if (code == USED) {
-            if (again >= late && stamp < newest_stamp(t)) {
-                late = set_aside(t, count_up_to(t, stamp));
+            if (again >= aside && stamp < newest_stamp(t)) {
+                aside = set_aside(t, count_up_to(t, stamp));
                 again = 0;
             }
-            *t->h.rewinds += again < late;
+            *t->h.rewinds += again < aside;
             *t->h.accepted += 1;
             code = step_to(t, stamp, y, u);
             write_outcome(t, y, written, i);
@@ -310,8 +310,8 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
 
 /* --- estimates --- */
 
-/* Return the state at a place, or predicted from it over a time above 0 [s]. Whole periods of a gap
- * are remembered for the next call, which else would predict through all of it again. */
+/* Return the state at a place, predicted over a duration [s] if that is above 0. The state after
+ * the whole periods of a gap is kept, so that the next call does not predict through all of it. */
 static state coast(tracker *t, int64_t place, double duration)
 {
     history *h = &t->h;
@@ -326,7 +326,7 @@ static state coast(tracker *t, int64_t place, double duration)
     }
     copy_state(&t->m, from, t->room.shown);
     while (taken < whole) {
-        /* First two at once, so that it is no regular step for the estimator. */
+        /* The first two are one step, which the estimator does not take for a regular one. */
         const int64_t periods = taken == 0 ? 2 : 1;
         predict(&t->m, &shown, (double)periods * period, 0, &t->scratch);
         taken += periods;

@@ -1,9 +1,9 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * Records: blocks of 8-byte numbers whose fields have sizes that are known at run time.
+ * Records: blocks of 8-byte numbers whose fields have sizes that are only known at run time.
  *
- * The fields of a record stand in one list, a macro that applies another macro to each of them:
+ * The fields of a record are listed in one macro, which applies another macro to each of them:
  *
  *     #define THING_FIELDS(F, s)              \
  *         F(COUNT, jumps, 1, 1)               \
@@ -12,12 +12,12 @@
  *         F(MATRIX, covariance, s->n, s->n)
  *     LAYOUT_DECLARE(thing, THING_FIELDS, sizes)
  *
- * A NUMBER, VECTOR or MATRIX is made of doubles, matrices by rows; a COUNT or COUNTS of 64-bit
- * integers. From the list come the C view of a record (a pointer to each field), the function that
+ * A NUMBER, VECTOR or MATRIX consists of doubles, a matrix row by row; a COUNT or COUNTS of 64-bit
+ * integers. The list yields the C view of a record (a pointer to each field), the function that
  * binds a view to memory, and the table from which Python makes the NumPy type of the same record.
- * So the layout is written once. Memory belongs to the caller, and copying a record is copying its
- * numbers. A record in a record is a VECTOR of `other_size(s)` numbers, or, of some,
- * a MATRIX with a row for each.
+ * So each layout is written once. The caller owns the memory, and copies a record by copying its
+ * numbers. A record inside a record is a VECTOR of `other_size(s)` numbers, and several of them are
+ * a MATRIX with one row each.
  */
 #ifndef TSOBS_LAYOUT_H
 #define TSOBS_LAYOUT_H
@@ -25,7 +25,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* One field of a record, for those who read layouts at run time. */
+/* One field of a record, for code that reads layouts at run time. */
 typedef struct {
     const char *name;
     const char *kind; /* NUMBER, VECTOR, MATRIX, COUNT or COUNTS */
@@ -42,8 +42,8 @@ typedef int64_t layout_COUNT, layout_COUNTS;
 #define LAYOUT_COUNT(kind, name, rows, columns) +(size_t)(rows) * (size_t)(columns)
 #define LAYOUT_ROW(kind, name, rows, columns) {#name, #kind, (long)(rows), (long)(columns)},
 
-/* Declare `thing`, the view of a record; `thing_view`, which returns one of memory; and `thing_size`,
- * its length in numbers. The list calls the `sizes` s. */
+/* Declare `thing`, the view of a record; `thing_view`, which binds a view to memory; and
+ * `thing_size`, the record's length in numbers. In the list, s points to the `sizes`. */
 #define LAYOUT_DECLARE(thing, FIELDS, sizes)                         \
     typedef struct {                                                 \
         FIELDS(LAYOUT_POINTER, unused)                               \

@@ -6,7 +6,7 @@
 #include "arithmetic.h"
 #include "flow.h"
 
-/* 1 between b and c, falling in straight lines to 0 at a and d, of which two may be infinite. */
+/* 1 between b and c, falling linearly to 0 at a and d; a and b, or c and d, may be infinite. */
 static double trapezoid(double z, const double *corners, double *slope)
 {
     const double a = corners[0], b = corners[1], c = corners[2], d = corners[3];
@@ -31,7 +31,7 @@ static double gaussian(double z, double centre, double width, double *slope)
     return grade;
 }
 
-/* (z/width)^2; 1 and level outside of |z| < width. */
+/* (z/half_width)^2 for |z| < half_width, and 1 with slope 0 outside. */
 static double square(double z, double half_width, double *slope)
 {
     const double share = z / half_width;
@@ -43,7 +43,7 @@ static double square(double z, double half_width, double *slope)
     return share * share;
 }
 
-/* h in sin z = (h + (1 - h) bottom) z; 0 and level outside of |z| < width. */
+/* h in sin z = (h + (1 - h) bottom) z for |z| < half_width, and 0 with slope 0 outside. */
 static double share_of_sine(double z, double half_width, double bottom, double *slope)
 {
     double sin, cos;
@@ -52,17 +52,17 @@ static double share_of_sine(double z, double half_width, double bottom, double *
         return 0.0;
     }
     sine_and_cosine(z, &sin, &cos);
-    /* (z cos z - sin z)/z^2 loses every digit near 0. */
+    /* (z cos z - sin z)/z^2 loses all its digits near 0, where a series takes its place. */
     const int is_small = fabs(z) < 1e-3;
     const double fall = is_small ? -z / 3.0 + z * z * z / 30.0 : (z * cos - sin) / (z * z);
     const double ratio = z != 0.0 ? sin / z : 1.0;
     *slope = fall / (1.0 - bottom);
-    const double grade = (ratio - bottom) / (1.0 - bottom); /* within 0 and 1 but for rounding */
+    const double grade = (ratio - bottom) / (1.0 - bottom); /* 0 to 1, except for rounding */
     return grade < 0.0 ? 0.0 : grade > 1.0 ? 1.0 : grade;
 }
 
-/* Return the grade at z and write its slope, at a corner that of one side; both are NaN if z is,
- * but for SHAPE_ALWAYS. `parameters` has four. */
+/* Return the grade at z and write its slope, which at a corner is that of one side. Both are NaN if
+ * z is, except for SHAPE_ALWAYS. There are four `parameters`. */
 static double grade_and_slope(int64_t shape, double z, const double *parameters, double *slope)
 {
     double grade;

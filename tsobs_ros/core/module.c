@@ -1,10 +1,10 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * The extension module `tsobs_ros.core.native`: the C library for Python, arrays by buffer.
+ * The extension module `tsobs_ros.core.native`: the C library for Python, with arrays as buffers.
  *
- * native.pyi describes the functions. Each reads its arguments by a format, and checks their
- * lengths before the library sees them.
+ * native.pyi describes the functions. Each reads its arguments by a format string, and checks their
+ * lengths before it calls the library.
  */
 #define PY_SSIZE_T_CLEAN
 #ifndef Py_LIMITED_API
@@ -21,22 +21,22 @@
 
 #define MAX_ARGUMENTS 24
 #define MAX_SIZE 4096       /* so that no product of sizes overflows */
-#define MAX_DURATION 1e12   /* whose periods can be counted [s] */
+#define MAX_DURATION 1e12   /* so that its periods can be counted [s] */
 
 /* One argument: an array of numbers, one number, a text, or a tuple. */
 typedef struct {
     Py_buffer buffer;
-    int held;       /* whether that is to be released */
-    void *at;       /* where an array is, */
-    int64_t length; /* and how many numbers of 8 bytes it has; of bytes, bytes */
+    int held;       /* whether the buffer must be released */
+    void *at;       /* the beginning of an array, */
+    int64_t length; /* and its length: in 8-byte numbers, of bytes in bytes */
     double number;
     int64_t integer;
     const char *text;
     PyObject *tuple;
 } argument;
 
-/* A function: its name, one letter for each argument, and its body. The letters: 'd' an array
- * that is read, 'D' one that is written, both contiguous and of 8-byte numbers, 'b' bytes, 'f' a
+/* A function: its name, a format with one letter for each argument, and its body. 'd' is an array
+ * that is read, 'D' one that is written, both contiguous and of 8-byte numbers; 'b' is bytes, 'f' a
  * float, 'i' an int, 's' a text, 't' a tuple. The body returns a new reference, or raises. */
 typedef struct signature {
     const char *name, *format;
@@ -49,7 +49,7 @@ static PyObject *refuse(const signature *of, const char *why)
     return PyErr_Format(PyExc_ValueError, "%s: %s", of->name, why);
 }
 
-/* Read an argument; return whether it is of its kind. */
+/* Read an argument; return whether it is what the format says, else raise. */
 static int take(const signature *of, int place, PyObject *given, argument *t)
 {
     const char kind = of->format[place];
@@ -86,7 +86,7 @@ static int take(const signature *of, int place, PyObject *given, argument *t)
     return 1;
 }
 
-/* Release arguments that are held. */
+/* Release the buffers of arguments. */
 static void release(argument *t, int count)
 {
     for (; count > 0; count--, t++) {
@@ -118,8 +118,8 @@ static PyObject *call(const signature *of, PyObject *const *given, Py_ssize_t co
     return result;
 }
 
-/* Begin the definition of a function, whose body between braces follows: it has its signature `of`
- * and its arguments `t`. */
+/* Begin the definition of a function. The body follows in braces; in it, `of` is the function's
+ * signature and `t` are the arguments. */
 #define BIND(name, format)                                                                 \
     static PyObject *name##_body(const signature *of, const argument *t);                  \
     static PyObject *name##_bound(PyObject *self, PyObject *const *given, Py_ssize_t count) \
@@ -130,7 +130,7 @@ static PyObject *call(const signature *of, PyObject *const *given, Py_ssize_t co
     }                                                                                      \
     static PyObject *name##_body(const signature *of, const argument *t)
 
-/* Return whether arguments from a place on have so many numbers each at least; else raise a
+/* Return whether the arguments from a place on have at least these numbers of entries; else raise a
  * ValueError. For use in a body of BIND. */
 #define HAVE(first, ...) have(of, t, first, (const int64_t[]){__VA_ARGS__, -1})
 static int have(const signature *of, const argument *t, int first, const int64_t *least)
@@ -146,7 +146,7 @@ static int have(const signature *of, const argument *t, int first, const int64_t
     return 1;
 }
 
-/* Return whether numbers are sizes of at least `least`; else raise a ValueError. */
+/* Return whether sizes are at least `least` and at most MAX_SIZE; else raise a ValueError. */
 static int are_sizes(const signature *of, const int64_t *numbers, int64_t count, int64_t least)
 {
     for (int64_t i = 0; i < count; i++) {
@@ -157,7 +157,7 @@ static int are_sizes(const signature *of, const int64_t *numbers, int64_t count,
     return 1;
 }
 
-/* Return whether an argument is a duration; else raise a ValueError. */
+/* Return whether an argument is 0 to MAX_DURATION; else raise a ValueError. */
 static int is_duration(const signature *of, const argument *t)
 {
     return (0.0 <= t->number && t->number <= MAX_DURATION) ||
@@ -288,7 +288,7 @@ BIND(simulate, "dDddDDD")
 
 /* --- estimators: steps of a state --- */
 
-/* Bind the model and the state, the first two arguments; return whether they belong together. */
+/* Bind a model and a state, the first two arguments; return whether they match, else raise. */
 static int take_state(const signature *of, const argument *t, model *m, state *at)
 {
     const char *wrong = model_view(t[0].at, (size_t)t[0].length, m);
@@ -375,7 +375,7 @@ BIND(estimator_innovations, "dDdddfffiDDDDD")
 
 /* --- trackers: their model and their room are the first two arguments --- */
 
-/* Bind a tracker; return whether the arguments are its own. */
+/* Bind a tracker; return whether its model and room are valid, else raise. */
 static int take_tracker(const signature *of, const argument *t, tracker *bound)
 {
     const char *wrong = tracker_bind(
@@ -383,8 +383,8 @@ static int take_tracker(const signature *of, const argument *t, tracker *bound)
     return wrong == NULL || refuse(of, wrong) != NULL;
 }
 
-/* Take stamps, y and u, the arguments behind the room, and what becomes of them, four from a
- * place on; return whether they belong together. */
+/* Take stamps, y and u, the arguments after the room, and the outcomes, four arguments from `to`
+ * on; return whether their lengths match, else raise. */
 static int take_measurements(
     const signature *of, const argument *t, int to, const tracker *by, measurements *given,
     outcomes *written)
@@ -461,7 +461,7 @@ BIND(history_advance, "t" "ddd" "DDDD" "ddd" "DDD" "i")
     int are_right = 1;
     own[SHARED + 1] = t[SHARED];
     for (Py_ssize_t place = 0; place < trackers && are_right; place++) {
-        for (int i = 1; i < SHARED; i++) { /* of each array, an equal share */
+        for (int i = 1; i < SHARED; i++) { /* an equal share of each array */
             own[i + 1].length = t[i].length / trackers;
             own[i + 1].at = (double *)t[i].at + place * own[i + 1].length;
         }
@@ -498,7 +498,7 @@ BIND(exported_open, "d")
 
 enum { RECORD_HEAD = 9, MESSAGE_HEAD = 31, MESSAGE_KIND = 5, MESSAGE_FIELDS = 5 };
 
-/* Return a little-endian number. */
+/* Return a little-endian number of `size` bytes. */
 static uint64_t number_at(const uint8_t *at, int size)
 {
     uint64_t value = 0;
@@ -508,10 +508,10 @@ static uint64_t number_at(const uint8_t *at, int size)
     return value;
 }
 
-/* Write channel, log time, publish time, first byte and size of the data of each message to rows
- * of `room` numbers. Return how many there are; -1 if a record, which is a byte for its kind, 8
- * for the length of what follows, and that, is not whole. No array operation finds where one
- * begins. */
+/* Write channel, log time, publish time, first byte and size of the data of each message to rows of
+ * `room` numbers. Return the number of messages, or -1 if a record is broken or there are more. A
+ * record is one byte for its kind, 8 for the length of its content, and the content. Only a loop
+ * can find where each record begins, no array operation. */
 static int64_t split_messages(const uint8_t *data, size_t size, int64_t *found, size_t room)
 {
     size_t at = 0, count = 0, length;
@@ -572,7 +572,7 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-/* Digest of the sources that setup.py built. */
+/* Digest of the sources from which setup.py builds the module. */
 #ifndef SOURCES
 #define SOURCES ""
 #endif

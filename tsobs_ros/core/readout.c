@@ -1,20 +1,20 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * The estimate: the mixture of its hypotheses, its bounds in physical units, and what
- * they rest on.
+ * The published estimate: the mixture of the hypotheses, its bounds in physical units, and the
+ * basis of the bounds.
  *
- * The bounds include the uncertainty of the parameters, for x - x^ is the filter's own error plus
- * Upsilon (theta - theta^), of covariance Upsilon Gamma Upsilon', and the distance of hypotheses
- * from their mean.
+ * The bounds include the distance of the hypotheses from their mean, and the uncertainty of the
+ * parameters: x - x^ is the filter's own error plus Upsilon (theta - theta^), whose covariance is
+ * Upsilon Gamma Upsilon'.
  */
 #include "bank.h"
 
 #include <string.h>
 
-/* Return by how much the variance of a hypothesis' errors exceeds its own: as slow innovations do,
- * which a wrong model makes, and by the square if they last, as it errs most in what is not
- * measured. Of large ones that is no longer true. */
+/* Return the factor by which a hypothesis' 1 sigma grows with the power of slow innovations, which
+ * a wrong model makes. If they last, it grows with the square of that power, as the model errs most
+ * in what is not measured. The factor is limited, as this is not true of large innovations. */
 static double growth_of(const model *m, const hypothesis *h)
 {
     const double slowness = slowness_of(m, h, *h->slow_power);
@@ -23,19 +23,19 @@ static double growth_of(const model *m, const hypothesis *h)
 }
 
 /* Return whether a fork supposes a hit, a moved arm or a stuck sensor, and its parent still counts.
- * Hardly anything speaks for it at first: it widens the bound, but does not move the estimate. */
+ * At first such a fork has little evidence: it widens the bound, but does not move the estimate. */
 static int is_undecided(const model *m, const state *at, const hypothesis *h)
 {
     const hypothesis parent = hypothesis_of(m, at, *h->kind);
     return *h->fork >= HIT && *h->fork <= STUCK && counts(m, &parent);
 }
 
-/* Find the hypotheses that count, and return how many there are. Write their places; their weights,
- * those in the estimate, `decided`, which are 0 of undecided forks; and the growth of their bounds,
- * of those of an unknown torque, which explains slow innovations, and of all others. */
+/* Find the hypotheses that count, and return how many there are. Write their places; their weights;
+ * their weights in the estimate (decided), 0 for undecided forks; and the growth of their bounds,
+ * first of unknown torques, which explain slow innovations, then of all else. */
 static long weigh(const model *m, const state *at, work *scratch)
 {
-    double total = 0.0, decided = 0.0; /* the latter has the parents of those that are undecided */
+    double total = 0.0, decided = 0.0; /* both above 0: parents of undecided forks count */
     long count = 0;
     hypothesis h;
     for (long i = 0; find_live(m, at, &i, &h); i++) {
@@ -57,7 +57,7 @@ static long weigh(const model *m, const state *at, work *scratch)
     return count;
 }
 
-/* Return what a state's bounds rest on if a kind is named, and whether they are claimed to hold. */
+/* Return the basis of the bounds if a kind is named; write whether they are claimed to hold. */
 static int64_t basis_of(const model *m, const hypothesis *best, int64_t named, double *claimed)
 {
     const double most = m->constants[VOID];
@@ -74,7 +74,7 @@ static int64_t basis_of(const model *m, const hypothesis *best, int64_t named, d
     return m->s.k > 0 && *m->covered == 0 ? BASIS_LEARNT : BASIS_CERTIFIED;
 }
 
-/* Return whether the motion has been rich enough for the parameters to count. */
+/* Return whether the motion has been rich enough for the parameters to be valid. */
 static int is_excited(const model *m, const hypothesis *h, double *gram)
 {
     const long k = m->s.k;
@@ -85,11 +85,11 @@ static int is_excited(const model *m, const hypothesis *h, double *gram)
     return is_nonnegative(gram, k);
 }
 
-/* What is read: plant states, parameters, disturbances of outputs, and torques. */
+/* Quantities of an estimate: plant states, parameters, disturbances of outputs, and torques. */
 enum { STATE, PARAMETER, DISTURBANCE, TORQUE };
 
-/* Return the value of a quantity by a hypothesis, a parameter or a linear function of the states in
- * use; write the variance of that by its covariance, and the function, `functional`. */
+/* Return a quantity by a hypothesis: a parameter, or a linear function of the states in use. Write
+ * its variance by the hypothesis' covariance and, for disturbances and torques, the function. */
 static double value_of(
     const model *m, const state *at, const hypothesis *h, int what, long place, double *variance,
     double *functional)
@@ -103,7 +103,7 @@ static double value_of(
     const int is_fault = what == DISTURBANCE && is_stuck(m, at, place);
     const double *map = what == TORQUE ? m->torque_map : m->disturbance_map;
     memcpy(functional, map + place * width, (size_t)width * sizeof *functional);
-    if (is_fault) { /* all that a stuck sensor shows but the arm */
+    if (is_fault) { /* all that a stuck sensor shows except the arm */
         add_scaled(functional, -1.0, m->C + place * width, m->s.n);
     } else if (what == DISTURBANCE && *h->kind != COLOURED_NOISE) {
         add_parts(m, h, place, functional);
@@ -114,8 +114,8 @@ static double value_of(
                           : value + dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
 }
 
-/* Return the derivative of a quantity by a parameter. Derivatives are not kept in an array: reading
- * as vectors, as `quadratic` does, what was just stored one by one takes a tenth of a step. */
+/* Return the derivative of a quantity by a parameter. Derivatives are not kept in an array: to read
+ * as vectors, as `quadratic` does, numbers just stored one by one takes a tenth of a step. */
 static double slope_of(
     const model *m, const hypothesis *h, int what, long place, const double *functional, long a)
 {
@@ -126,8 +126,8 @@ static double slope_of(
     return dot(functional, slopes, states_in_use(m, h));
 }
 
-/* Return what a spring that is not as designed makes of a state of an arm which only it shows: a
- * share of the twist, or of the twist's rate. */
+/* Return the 1-sigma error due to a wrong stiffness of an arm's state that only the spring shows: a
+ * share of the twist, or of the twist's rate. Other states have none. */
 static double error_by_spring(const model *m, const hypothesis *h, long place)
 {
     const long other = (place + 2) % 4;
@@ -138,10 +138,10 @@ static double error_by_spring(const model *m, const hypothesis *h, long place)
     return m->constants[SPRING] * twist;
 }
 
-/* Write the mean of a quantity over the hypotheses that are decided, and its bound: the root of
- * the mean, over all, of variance plus squared distance from it. Return their sum. least: its
- * 1-sigma by the certificate. What was learnt of parameters over a distance is wrong by a share of
- * it, as regressors move with x^, and what was learnt of noise is as wrong as the first guess. */
+/* Write the mean of a quantity over the decided hypotheses, and its bound: the root of the mean,
+ * over all, of variance plus squared distance from that mean. Return their sum. least: the
+ * quantity's 1 sigma by the certificate. A learnt change of theta is wrong by a share of itself, as
+ * regressors move with x^, and what noise has taught is as wrong as the prior. */
 static double read_one(
     const model *m, const state *at, int what, long place, double least, double unit, double *value,
     double *bound, work *scratch, long count)
@@ -192,7 +192,7 @@ static double read_one(
 int read_out(const model *m, const state *at, const estimate *row, work *scratch)
 {
     const hypothesis best = best_of(m, at), designed = hypothesis_of(m, at, AS_DESIGNED);
-    /* Anything else than the likeliest is supposed at half a floor behind it. */
+    /* The design is named until it is half a FLOOR behind the likeliest hypothesis. */
     const int is_designed = *designed.score >= -0.5 * m->constants[FLOOR];
     const int64_t named = is_designed ? AS_DESIGNED : *best.kind;
     const long count = weigh(m, at, scratch);

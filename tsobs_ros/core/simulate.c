@@ -11,7 +11,7 @@
 /* Speed below which Coulomb friction is proportional to the speed [rad/s]. */
 #define CREEP 0.01
 
-/* Return Coulomb friction of a level, a torque [N m] or a deceleration [rad/s2]. */
+/* Return Coulomb friction, in the unit of its level: a torque [N m] or deceleration [rad/s2]. */
 static double rub(double level, double speed)
 {
     const double share = speed / CREEP;
@@ -31,20 +31,20 @@ static double twist_of(const simulated_arm *arm, const double *x)
     return turn > free ? turn - free : turn < -free ? turn + free : 0.0;
 }
 
-/* Return the arm that moves, which is another one with the payload. */
+/* Return the arm with the payload while it is carried, otherwise the arm without. */
 static const simulated_arm *arm_of(const simulated_plant *plant)
 {
     const simulated_arm *arms = (const simulated_arm *)plant->arms;
     return plant->signals[4 + IS_LOADED] != 0.0 ? arms + 1 : arms;
 }
 
-/* Write the slope of an arm's state. */
+/* Write the derivative of an arm's state. */
 static void arm_slope(const simulated_plant *plant, double *slope)
 {
     const double *x = plant->signals, *held = x + 4;
     const simulated_arm *arm = arm_of(plant);
     const double twist = twist_of(arm, x);
-    /* Subtracted, so that a push of zero changes no bit, the sign of a zero included. */
+    /* Pushes are subtracted: so a push of zero changes no bit, not even the sign of a zero. */
     const double drive =
         held[DRIVE] / arm->motor_inertia - (0.0 - held[ON_MOTOR]) / arm->motor_inertia;
     const double brake = (0.0 - held[ON_LINK]) / arm->link_inertia;
@@ -56,9 +56,9 @@ static void arm_slope(const simulated_plant *plant, double *slope)
         drive - arm->motor_spring * twist - arm->motor_drag * x[3] - rub(arm->motor_rub, x[3]);
 }
 
-/* Write the torques that an arm without friction and payload would need: less friction, the
- * spring's torque that play lacks, and on the link less what turns the payload and holds it,
- * dJ q1'' + dmgl sin q1. */
+/* Write the torques that an arm without friction, play and payload would need: those held, minus
+ * friction, minus the spring torque that play takes away, and on the link minus the torque that the
+ * payload takes, dJ q1'' + dmgl sin q1. */
 static void arm_outputs(const simulated_plant *plant, double *torques)
 {
     const double *x = plant->signals, *held = x + 4;
@@ -77,7 +77,7 @@ static void arm_outputs(const simulated_plant *plant, double *torques)
     }
 }
 
-/* Write sum h_i M_i of a system's first `width` signals, for matrices M_i (rows, width). */
+/* Write sum h_i M_i v for matrices M_i (rows, width) and v, a system's first `width` signals. */
 static void blend(
     const simulated_plant *plant, const plant_sizes *s, const double *matrices, long rows,
     long width, double *result)
@@ -94,7 +94,7 @@ static void blend(
     }
 }
 
-/* Move a plant's state, the first of the signals, by one integration step. */
+/* Move a plant's state, with which the signals begin, by one integration step. */
 static void step(const simulated_plant *plant, const plant_sizes *s)
 {
     const long n = s->n;
