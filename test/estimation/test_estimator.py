@@ -63,8 +63,8 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "d7b1d48b467aaeb8",
-    "pendulum": "e512245d7482d123",
+    "supervised arm": "5a15a2e135a65f3b",
+    "pendulum": "7d3c08f11b4a7227",
     "proportional": "3bed2344d081223c",
     "proportional-integral": "6e7e29fca59d261d",
     "paper": "c76a1c01f51f83e5",

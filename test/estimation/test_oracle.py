@@ -209,7 +209,8 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
         state, _ = observer.correct(state, [y])
         after = state["hypotheses"][0]
         live, scale = np.flatnonzero(before["live"]), max(1.0, float(state["noise_scale"][0]))
-        if len(live) > 1 and all((before[name] == after[name]).all() for name in ("live", "kind")):
+        names = ("live", "kind", "age")  # an age that falls is that of one that begins again
+        if len(live) > 1 and all((before[name] == after[name]).all() for name in names):
             scores = [one["score"] + likelihood(one, y, scale) for one in before[live]]
             check(after["score"][live], np.maximum(scores - max(scores), -BANK["FLOOR"]), "scores")
             compared |= {*before["kind"][live].tolist()}
@@ -228,6 +229,22 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
             check(getattr(whole, f"{name}_bound") ** 2, spread, f"bound of {name}")
         state = observer.predict(state, u, request.period)
     assert compared == {*Hypothesis}
+
+
+@pytest.mark.parametrize("larger", [0.5, 2.0, 100.0])
+def test_a_large_covariance_slows_learning_down_to_a_quarter(larger: float) -> None:
+    design = load_design(config_path(SHIPPED_DESIGN))
+    observer, (c,) = make_estimator(design, SOON), design.request.flow.output_matrix
+    state, n = observer.initial(), len(c)
+    one = state["hypotheses"][0, 0]
+    one["covariance"][:n, :n] = larger * design.covariance_bound
+    one["sensitivity"][:, :n] = np.random.default_rng(0).standard_normal((2, n))
+    before, omega = one["gamma"].copy(), one["sensitivity"][:, :n] @ c
+    learnt = before @ omega
+    S = larger * c @ design.covariance_bound @ c + design.request.measurement_covariance[0, 0]
+    shrunk = np.outer(learnt, learnt) / (S * min(max(larger, 1.0), 4.0) + omega @ learnt)
+    after = observer.correct(state, [0.0])[0]["hypotheses"][0, 0]["gamma"]
+    check(after, before - shrunk, "covariance of the parameters")
 
 
 @pytest.mark.parametrize(

@@ -286,6 +286,11 @@ static int is_considered(const model *m, long kind)
 /* Begin the hypotheses that sleep, and keep all awake for a while. */
 static void activate_bank(const model *m, state *at)
 {
+    if (*at->awake <= 0.0 && *at->best == AS_DESIGNED) {
+        const hypothesis h = best_of(m, at);
+        copy_matrix(h.theta, m->s.k, at->settled_theta, m->s.k, 1, m->s.k);
+        copy_matrix(h.gamma, m->s.k, at->settled_gamma, m->s.k, m->s.k, m->s.k);
+    }
     for (long kind = 0; kind < TONE; kind++) {
         if (*hypothesis_of(m, at, kind).live == 0 && is_considered(m, kind)) {
             begin_standing(m, at, kind);
@@ -442,11 +447,11 @@ typedef struct {
 } tone;
 
 /* Begin a TONE of an output with one tone or two, as a copy of the best hypothesis. TONE_RESET also
- * forgets what that has learnt, which is wrong if it was learnt without knowledge of the tone. */
+ * forgets what that has learnt since the bank woke, which may have been the tone's. */
 static void begin_tones(
     const model *m, const state *at, long place, int64_t output, const tone *tones, long count)
 {
-    const long width = m->s.width;
+    const long k = m->s.k, width = m->s.width;
     const hypothesis h = begin_from_best(m, at, place, NO_FORK, -m->constants[FLOOR]);
     *h.output = output;
     *h.size = tones[0].size;
@@ -461,8 +466,10 @@ static void begin_tones(
     }
     if (place == TONE_RESET) {
         reset_covariances(m, &h);
-        for (long a = 0; a < m->s.k; a++) {
-            h.theta[a] = h.pending[a] = h.anchor[a] = 0.0;
+        copy_matrix(at->settled_gamma, k, h.gamma, k, k, k);
+        for (long a = 0; a < k; a++) {
+            h.theta[a] = h.anchor[a] = at->settled_theta[a];
+            h.pending[a] = 0.0;
         }
         *h.significant = 0;
     }
@@ -523,21 +530,24 @@ static void propose_tones(const model *m, state *at, const correction *effect)
         }
     }
     const double frequency = tones[0].frequency;
+    const double ratio = m->constants[TONE_RATIO] * m->constants[TONE_RATIO];
     const double apart = (tones[1].frequency - frequency) * m->constants[AWAKE];
     const int are_two = tones[1].power > 2.5 * tones[2].power
                         && tones[1].power * minimum(1.0 + apart * apart, 8.0) > tones[0].power;
     for (long place = TONE; place <= TONE_RESET; place++) {
         const hypothesis h = hypothesis_of(m, at, place);
         const double now = h.x[m->s.n + 3], second = h.x[m->s.n + 6];
-        /* A slow tone has three periods to prove itself, unless a much faster one is louder. */
-        const double periods = frequency < 2.0 * now ? 20.0 / now : 0.0;
-        const int is_over = *h.age > maximum(m->constants[AWAKE], periods);
+        /* A tone has three periods to prove itself, but little time once another is the loudest. */
+        const int is_other = frequency < now / ratio || frequency > now * ratio;
+        const double patience
+            = is_other ? m->constants[TRIAL] : maximum(m->constants[AWAKE], 20.0 / now);
         const int failed_alone = *h.live != 0 && second == 0.0;
         if (*h.live != 0 && (is_natural(m, now, 0) || is_natural(m, second, 1))) {
             *h.score = -INFINITY;
         }
         if (frequency > 0.0 && *best_of(m, at).kind != TONE
-            && (*h.live == 0 || (*h.score < -0.5 * m->constants[FLOOR] && is_over))) {
+            && (*h.live == 0
+                || (*h.score < -0.5 * m->constants[FLOOR] && *h.age > patience))) {
             begin_tones(m, at, place, output, tones, 1 + (are_two && failed_alone));
         }
     }

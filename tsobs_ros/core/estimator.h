@@ -195,6 +195,8 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(COUNT, in_gap, 1, 1)          /* whether an auxiliary state has the torque's unknown part */ \
     F(COUNT, best, 1, 1)            /* place of the likeliest hypothesis */                        \
     F(NUMBER, awake, 1, 1)          /* time until all but the design may sleep [s] */              \
+    F(VECTOR, settled_theta, s->k, 1) /* the design's parameters when the bank woke last */        \
+    F(MATRIX, settled_gamma, s->k, s->k) /* covariance of the errors of settled_theta */           \
     F(MATRIX, sensors, s->p, sensor_size(s)) /* memory of each output */                           \
     F(NUMBER, noise_scale, 1, 1)    /* largest noise_scale of the sensors */                       \
     F(NUMBER, since, 1, 1)          /* time since the last sample [s] */                           \

@@ -168,8 +168,9 @@ static void track_innovations(
 
 /* Return the factor by which the variance of an innovation is larger for learning parameters. It
  * has three parts: the mean of the covariance relative to the certified bound, as regressors are
- * wrong if x^ is; the measured power of innovations; and their correlation beyond the three sigmas
- * of white noise, as neighbours that are alike repeat each other. */
+ * wrong if x^ is, but at most 4, as much of a larger covariance is the sensors'; the measured power
+ * of innovations; and their correlation beyond the three sigmas of white noise, as neighbours that
+ * are alike repeat each other. */
 static double inflation_of(const model *m, const hypothesis *h)
 {
     const long n = m->s.n, width = m->s.width;
@@ -181,7 +182,7 @@ static double inflation_of(const model *m, const hypothesis *h)
         for (long i = 0; i < n; i++) {
             total += dot(m->P + i * width, h->covariance + i * width, n);
         }
-        inflation = maximum(total / (double)n, 1.0);
+        inflation = clip(total / (double)n, 1.0, 4.0);
     }
     return inflation * (maximum(*h->nis, 1.0) * ((1.0 + alike) / (1.0 - alike)));
 }
