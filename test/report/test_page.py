@@ -131,6 +131,20 @@ def test_diagnostics_come_to_faults_and_rejects(diagnosed) -> None:
     assert diagnosed.rejected == {"gated": 9}
 
 
+def test_rejects_before_and_after_a_restart_of_the_observer_count(simulated) -> None:
+    counts = [("0", "0"), ("5", "1"), ("1", "4")]  # restarted before the third
+    told = [
+        RecordedStatus(
+            simulated.origin + second * 1_000_000_000,
+            0,
+            ("observer", "measurements"),
+            {"rejected: gated": gated, "rejected: too old": old},
+        )
+        for second, (gated, old) in enumerate(counts)
+    ]
+    assert diagnose(told, simulated.origin, 20.0).rejected == {"gated": 6, "too old": 5}
+
+
 def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> None:
     metrics = measure(simulated)
     timing = picture(simulated, metrics).timing

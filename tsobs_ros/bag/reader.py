@@ -77,7 +77,7 @@ class DecodedMessage(NamedTuple):
 
 
 class RawMessages(NamedTuple):
-    """A topic's messages as bytes in the order of recording, n of them; times in ns, shape (n,).
+    """A topic's messages as bytes in the order of log times, n of them; times in ns, shape (n,).
 
     Each of `groups` has messages of one size: their places, shape (k,), and bytes, shape (k, size).
     """

@@ -85,7 +85,7 @@ class Excitation:
     Attributes:
         request: Request of the nominal arm.
         time: Since the start [s], shape (n,).
-        torque: At the motor, held from each sample to the next [N m], shape (n,).
+        torque: Commands, held from each sample to the next [N m], shape (n,).
         angles: Angles of link and motor of the nominal arm [rad], shape (n, 2).
         numbers: The wanted numbers, with the accuracy that a fit of a recording would have.
         limits: Allowed torque, angle and velocity of link and motor.
@@ -148,7 +148,7 @@ class Excitation:
 
 _HEADER = """\
 # A motion of `tsobs excite`: {1:g} s at {0.request.rate:g} Hz, seed {0.seed}.
-# torque: at the motor, held from its time to the next line's; 0 after the last one.
+# torque: command, held from its time to the next line's; 0 after the last one.
 # expected_link_angle, expected_motor_angle: of the request's arm, from rest at 0.
 # Limits of link and motor: {0.limits}.
 # Arms within the request's uncertainty reach {0.worst}.
@@ -290,7 +290,7 @@ def excite(
     Args:
         request: An arm's request, e.g. with the numbers of data sheets.
         duration: Duration of the motion [s].
-        max_torque: Largest torque at the motor [N m]; half of the request's `torque_limit`, at most
+        max_torque: Largest commanded torque [N m]; half of the request's `torque_limit`, at most
             the gravity torque, or 10 rad/s² of both inertias without gravity.
         max_angle: Largest angle of link and motor [rad]; 0.9 of the request's `x_max`.
         max_velocity: Largest velocity of both [rad/s]; the velocity of the request's reach.

@@ -135,7 +135,7 @@ def _search(likelihood: Likelihood, start: Array, steps: int) -> Array:
 
 
 def _with_zero(optimum: Optimum, recording: Recording, advance: Advance) -> Optimum:
-    """Return the optimum with the first angle's zero unchanged, unless its offset is significant.
+    """Return the optimum without the first offset of an angle that is not significant, if any.
 
     Gravity shows this offset, but an offset of the torque has nearly the same effect.
     """

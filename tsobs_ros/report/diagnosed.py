@@ -101,7 +101,8 @@ def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> D
             }
         )
         if latest:
-            # Counts that have fallen are those of a restarted observer, and add nothing.
+            if any(latest[reason] < count for reason, count in counted.items()):
+                counted.clear()  # the observer was restarted
             found.rejected += latest - counted
             counted = latest
     return found

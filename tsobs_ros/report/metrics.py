@@ -231,6 +231,6 @@ def _jumps(run: RecordedRun) -> list[Jump]:
 
 
 def inside_windows(times: Array, windows: Windows) -> Flags:
-    """Return which times [s] lie in one of the windows, their ends not included, shape (n,)."""
+    """Return which times [s] lie in one of the windows, begin <= time < end, shape (n,)."""
     # The windows neither overlap nor touch.
     return np.asarray(np.searchsorted(np.ravel(windows), times, side="right") % 2 == 1)

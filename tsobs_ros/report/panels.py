@@ -119,7 +119,7 @@ class TimingSummary(NamedTuple):
 
     Attributes:
         rate: Median rate [Hz]; None without two measurements.
-        jitter: Standard deviation of the intervals between stamps, without gaps [s].
+        jitter: Root mean square of the intervals less the nominal period, without gaps [s].
         max_interval: The largest interval [s].
         lost: Number of missing samples, judged by the stamps.
         gaps: Number of intervals longer than `MAX_GAP`.
