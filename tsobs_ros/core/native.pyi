@@ -12,6 +12,8 @@ KIND_SYSTEM: int
 GAIN_OPEN: int
 GAIN_RICCATI: int
 GAIN_CERTIFIED: int
+SERIES_TERMS: int
+MOST_STEPS: int
 HYPOTHESES: int
 BANK_CONSTANTS: list[tuple[str, float, str]]
 """Name, value and meaning of each constant of the bank."""

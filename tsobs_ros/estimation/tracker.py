@@ -89,8 +89,8 @@ class TrackerRun(NamedTuple):
 
 def require_steps(max_steps: int) -> None:
     """Refuse a `max_steps` for which the core has no room."""
-    if not 1 <= max_steps <= 10**6:
-        raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
+    if not 1 <= max_steps <= native.MOST_STEPS:
+        raise ModelError(f"max_steps: expected 1 to {native.MOST_STEPS}, got {max_steps}")
 
 
 class Tracker:

@@ -34,9 +34,6 @@ from tsobs_ros.model.matrices import block_diagonal, product
 Record = np.ndarray[Any, np.dtype[Any]]
 """An array of records."""
 
-MAX_TERMS = 60
-"""Number of rows of a series."""
-
 STRETCH = 1.25
 """Factor by which a step may be longer than nominal, because real stamps jitter."""
 
@@ -317,13 +314,13 @@ def _between(first: Corner, second: Corner) -> str:
 def _taylor_series(A: Array, B: Array, W: Array, reach: float) -> tuple[Array, int]:
     """Return Taylor coefficients of Φ, Γ and Q, and the number of rows that matter up to `reach`.
 
-    The coefficients are side by side, shape (MAX_TERMS, n (2n + m)); further rows are zero.
+    The coefficients are side by side, shape (SERIES_TERMS, n (2n + m)); further rows are zero.
     """
     n, m = B.shape
-    series = np.zeros((MAX_TERMS, n * (2 * n + m)))
+    series = np.zeros((native.SERIES_TERMS, n * (2 * n + m)))
     row = np.concatenate([np.eye(n), np.zeros((n, n + m))], axis=1)
     largest, power = np.zeros_like(row), 1.0
-    for order in range(1, MAX_TERMS):
+    for order in range(1, native.SERIES_TERMS):
         size = np.abs(row) * power
         largest = np.where((size > largest) | np.isnan(size), size, largest)
         series[order - 1] = np.concatenate(
@@ -338,7 +335,7 @@ def _taylor_series(A: Array, B: Array, W: Array, reach: float) -> tuple[Array, i
         if order == 1:
             row[:, n:] += np.concatenate([B, W], axis=1)
         row /= order
-    return series, MAX_TERMS - 1
+    return series, native.SERIES_TERMS - 1
 
 
 def _norm(A: Array) -> float:
