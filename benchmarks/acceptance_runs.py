@@ -207,7 +207,7 @@ def high_gain(
         states = np.asarray(observe(design, known, estimator=observer).rows["state"])
         squares = _squares(request.arm.from_physical(states), runs)
         for name, window in WINDOWS.items():
-            part = squares[:, _inside(runs.times, window)]
+            part = squares[:, is_inside(runs.times, window)]
             found[name].append(np.sqrt(part.mean(axis=1)))
     errors, tuning = {}, {}
     for name, each in found.items():
@@ -218,12 +218,12 @@ def high_gain(
 
 def outcome(scenario: Scenario, runs: Trajectories, found: Found) -> Outcome:
     """Return the outcome of estimates."""
-    settled, full = (_inside(runs.times, WINDOWS[name]) for name in ("settled", "full"))
+    settled, full = (is_inside(runs.times, WINDOWS[name]) for name in ("settled", "full"))
     with np.errstate(all="ignore"):  # a filter that diverges is a result
         squares = _squares(found.estimates[..., :4], runs)
         wrong = found.estimates[..., 4] - runs.disturbances[..., 0]
         errors = {
-            name: np.sqrt(squares[:, _inside(runs.times, window)].mean(axis=1))
+            name: np.sqrt(squares[:, is_inside(runs.times, window)].mean(axis=1))
             for name, window in WINDOWS.items()
         }
         truth = np.concatenate([runs.states, runs.disturbances], axis=2)
@@ -279,7 +279,9 @@ def settled_after(times: Array, errors: Array) -> Array:
     stays below `LOUD` times its root mean square, over all runs in the calm before the step, for
     `HOLD` seconds. The time is infinite if it never does.
     """
-    calm = np.sqrt((errors[:, _inside(times, CALM)] ** 2).mean()) if (times >= STEP).any() else 0.0
+    calm = (
+        np.sqrt((errors[:, is_inside(times, CALM)] ** 2).mean()) if (times >= STEP).any() else 0.0
+    )
     after = times >= STEP
     result = np.full(len(errors), np.inf)
     for run, error in enumerate(errors[:, after]):
@@ -297,5 +299,6 @@ def _squares(states: Array, runs: Trajectories) -> Array:
     return np.asarray((((states - runs.states) / SCALE) ** 2).mean(axis=2))
 
 
-def _inside(times: Array, window: tuple[float, float]) -> NDArray[np.bool_]:
+def is_inside(times: Array, window: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return which times [s] are in a window, begin <= time < end."""
     return (times >= window[0]) & (times < window[1])

@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 from acceptance_demands import INSIDE_BAR, Demand
-from acceptance_runs import SCALE, WINDOWS
+from acceptance_runs import SCALE, WINDOWS, is_inside
 from common import parser, use_one_thread
 from pages import end, head, options_of, row, verdicts
 
-from tsobs_ros.campaign.batches import observe
+from tsobs_ros.campaign.batches import observe, stamps_of
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
@@ -28,7 +28,6 @@ from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.faults import FaultKind, FaultMonitor
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.report.metrics import SIGMAS
-from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation import plant
 from tsobs_ros.simulation.plant import Friction, Scenario, SimulatedOutput, Trajectories
 from tsobs_ros.simulation.scenarios import simulate
@@ -162,7 +161,7 @@ def accuracy(case: Case, design: Design, plain: Design, seeds: Sequence[int]) ->
     if plain is not design:
         states[_PLAIN] = observe(plain, runs, estimator=plain.observer()).rows["state"]
         states[_PLAIN_NODE] = observe(plain, runs).rows["state"]
-    full = _inside(runs.times, WINDOWS["full"])
+    full = is_inside(runs.times, WINDOWS["full"])
     kept = (
         np.abs(ours.rows["state"] - runs.physical)[:, full]
         <= SIGMAS * ours.rows["state_bound"][:, full]
@@ -181,7 +180,7 @@ def _ekf(design: Design, runs: Trajectories, method: str) -> Array:
 
 def _squares(design: Design, states: Array, runs: Trajectories) -> Array:
     """Return squared errors in design coordinates over the settled window, in units of `SCALE`."""
-    settled = _inside(runs.times, WINDOWS["settled"])
+    settled = is_inside(runs.times, WINDOWS["settled"])
     away = design.arm_request.arm.from_physical(states[:, settled]) - runs.states[:, settled]
     return np.asarray((away / SCALE) ** 2)
 
@@ -189,7 +188,7 @@ def _squares(design: Design, states: Array, runs: Trajectories) -> Array:
 def contact(case: Case, design: Design, seeds: Sequence[int]) -> Contact:
     """Return the findings of the observer and its fault monitors on contacts."""
     runs, request = simulate(case.scenario, seeds), design.arm_request
-    stamps, every = _stamps(runs), round(_TICK * request.rate)
+    stamps, every = stamps_of(runs.times), round(_TICK * request.rate)
     noticed, early, inside = [], [], []
     names = request.output_names
     counts = {when: {name: Counter[str]() for name in names} for when in ("before", "after")}
@@ -226,21 +225,13 @@ def contact(case: Case, design: Design, seeds: Sequence[int]) -> Contact:
         time, out = np.array(times), np.array(beyond)
         after = time[out & (time >= _CONTACT)]
         noticed.append(after[0] - _CONTACT if len(after) else np.inf)
-        early.append(out[_inside(time, (_START, _CONTACT))].mean())
+        early.append(out[is_inside(time, (_START, _CONTACT))].mean())
         inside.append(np.array(kept)[time >= _START].mean(axis=0))
     before, later = (
         {name: {kind: n / each.total() for kind, n in each.items()} for name, each in part.items()}
         for part in counts.values()
     )
     return Contact(np.array(noticed), np.array(early), np.array(inside), later, before)
-
-
-def _stamps(runs: Trajectories) -> Array:
-    return NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
-
-
-def _inside(times: Array, window: tuple[float, float]) -> Array:
-    return (times >= window[0]) & (times < window[1])
 
 
 Found = Accuracy | Contact

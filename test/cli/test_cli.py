@@ -12,12 +12,18 @@ import pytest
 import yaml
 
 import tsobs_ros
+from tsobs_ros.cli.estimate import METHODS
 from tsobs_ros.cli.main import main
 from tsobs_ros.design.file import load_design
+from tsobs_ros.methods import METHODS as KNOWN
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 SHIPPED = config_path(SHIPPED_DESIGN)
 Captured = pytest.CaptureFixture[str]
+
+
+def test_the_command_knows_each_method() -> None:
+    assert (*KNOWN,) == METHODS  # repeated there, so that help needs no NumPy
 
 
 def strict_json(text: str) -> Any:
