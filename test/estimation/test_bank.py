@@ -300,6 +300,19 @@ def test_a_tone_does_not_spoil_what_was_learnt_before(seed: int) -> None:
         assert got.tracker.state["settled_theta"][0] == pytest.approx([-0.3, 0.2], abs=0.05)
 
 
+@pytest.mark.parametrize("off", [0.1, 0.5, 2.0])
+def test_a_first_sample_that_is_an_outlier_is_soon_forgotten(off: float) -> None:
+    """By clean encoders: the arm is where the next samples are, and no sensor has jumped."""
+    run = simulated(seconds=4)
+    noise = 0.0005 * np.random.default_rng(0).standard_normal((4 * RATE, 2))
+    y = run.physical[0][:, [0, 2]] + noise
+    y[0, 0] += off
+    got = course("both", run, y)
+    assert np.abs(got.state - run.physical[0])[10:, [0, 2]].max() < 0.002
+    assert got.inside[10:].mean() > 0.97
+    assert "sensor jumps" not in got.found
+
+
 def test_a_tone_is_found_in_an_output_that_comes_seldom() -> None:
     y = simulated(SCENARIOS["noise"], 1, 40).measurements[0, : 40 * RATE].copy()
     y += 0.05 * np.sin(3.0 * np.arange(len(y)) / RATE)[:, np.newaxis]

@@ -572,6 +572,13 @@ static long place_for(const model *m, const state *at, double score)
     return found;
 }
 
+/* Return whether a clean sensor has only just put the arm where it is: if the arm is elsewhere, it
+ * was not lost, but the first sample was an outlier. */
+static int is_first(const model *m, const state *at, long output)
+{
+    return *at->age < 8.0 * *m->period && m->disturbed[output] == 0;
+}
+
 /* Open the covariance of what a fork supposes to have changed at an output's innovation. */
 static void open_fork(
     const model *m, const state *at, hypothesis *h, int64_t fork, long output, double innovation)
@@ -605,9 +612,10 @@ static void open_fork(
             /* A late angle contains its velocity, but that does not explain the innovation. */
             const int is_speed = i % 2 == 1 && *m->design_flow.kind == KIND_ARM;
             const int is_late = is_speed && m->C[output * width + i - 1] != 0.0;
-            std = maximum(m->domain[i], by != 0.0 && !is_late ? fabs(innovation / by) : 0.0);
+            const double away = by != 0.0 && !is_late ? fabs(innovation / by) : 0.0;
             /* An estimated speed beyond the domain may be wrong by all of itself. */
-            std = maximum(std, is_speed ? fabs(h->x[i]) : 0.0);
+            const double least = maximum(m->domain[i], is_speed ? fabs(h->x[i]) : 0.0);
+            std = is_first(m, at, output) ? away : maximum(least, away);
         }
         P[i * width + i] += std * std;
     }
@@ -619,7 +627,8 @@ static void suppose(
     const model *m, const state *at, int64_t fork, long output, double innovation,
     correction *effect)
 {
-    const double price = m->constants[fork == MOVED ? LOST_PRICE : FORK_PRICE];
+    const int elsewhere = is_first(m, at, output) ? OUTLIER_PRICE : LOST_PRICE;
+    const double price = m->constants[fork == MOVED ? elsewhere : FORK_PRICE];
     const hypothesis from = best_of(m, at);
     const double score = *from.score - price;
     const long place = place_for(m, at, score);
