@@ -20,7 +20,7 @@ from acceptance_runs import SCALE, WINDOWS, is_inside
 from common import parser, use_one_thread
 from pages import end, head, options_of, row, verdicts
 
-from tsobs_ros.campaign.batches import observe, stamps_of
+from tsobs_ros.campaign.batches import observe
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
@@ -28,6 +28,7 @@ from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.faults import FaultKind, FaultMonitor
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.report.metrics import SIGMAS
+from tsobs_ros.series import stamps_of
 from tsobs_ros.simulation import plant
 from tsobs_ros.simulation.plant import Friction, Scenario, SimulatedOutput, Trajectories
 from tsobs_ros.simulation.scenarios import simulate

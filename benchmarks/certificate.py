@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from common import at_least, design_of, parser, show, use_one_thread
 
-from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
@@ -28,6 +27,7 @@ from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.series import stamps_of
 from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import GaussMarkov, Multisine, Sine

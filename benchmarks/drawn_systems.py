@@ -20,7 +20,6 @@ from common import parser, use_one_thread
 from drawn_arms import DURATION, Judged, compared, table
 from pages import end, options_of
 
-from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import DisturbanceTerm, TSRequest
 from tsobs_ros.design.synthesis import synthesise
@@ -30,6 +29,7 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import Direction, TSModel
+from tsobs_ros.series import stamps_of
 from tsobs_ros.simulation.plant import Plant, SystemScenario
 from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import BiasStep, Constant, GaussMarkov, Multisine, Sine, Sinusoid

@@ -23,7 +23,6 @@ from common import at_least, design_of, parser, show, timed, use_one_thread
 from scipy.linalg import block_diag
 
 import tsobs_ros as ts
-from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
@@ -39,7 +38,7 @@ from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.flow import SINE
 from tsobs_ros.model.prediction import Record
 from tsobs_ros.resources import FIXED_DESIGN, config_path
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.series import NANOSECONDS, stamps_of
 from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor

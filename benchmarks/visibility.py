@@ -18,13 +18,12 @@ from acceptance_runs import filter_alone
 from common import design_of, parser, show, use_one_thread
 from pages import head, options_of, row
 
-from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.series import Stamps
+from tsobs_ros.series import Stamps, stamps_of
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 CASES = (

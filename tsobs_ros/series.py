@@ -17,6 +17,11 @@ NANOSECONDS = 1_000_000_000
 """Stamps are integer nanoseconds, so that their differences are exact."""
 
 
+def stamps_of(times: Array) -> Stamps:
+    """Return stamps [ns] of times since the start of a run [s]; it starts at 1 s."""
+    return NANOSECONDS + np.round(times * NANOSECONDS).astype(np.int64)
+
+
 class Series(NamedTuple):
     """Values with their stamps.
 

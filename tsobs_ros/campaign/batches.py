@@ -22,7 +22,7 @@ from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.report.metrics import SIGMAS, measure
 from tsobs_ros.report.run import ESTIMATED, RecordedRun
-from tsobs_ros.series import NANOSECONDS, Series
+from tsobs_ros.series import Series, stamps_of
 from tsobs_ros.simulation.plant import Plant, Trajectories
 
 CLAIMS = ("certified", "learnt", "covariance", "none")
@@ -76,11 +76,6 @@ def observe(
         rows.append(tracker.follow(stamps, y, u))
         events.append(tracker.events)
     return Observed(np.stack(rows), tuple(events))
-
-
-def stamps_of(times: Array) -> NDArray[np.int64]:
-    """Return stamps [ns] of times since the start of a run [s], which has the stamp 1 s."""
-    return NANOSECONDS + np.round(times * NANOSECONDS).astype(np.int64)
 
 
 def recorded(

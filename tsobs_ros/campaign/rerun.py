@@ -12,13 +12,13 @@ from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TO
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.campaign.definition import Campaign, CampaignError
 from tsobs_ros.campaign.drawing import draw_group
 from tsobs_ros.design.signals import Place, positions
 from tsobs_ros.replay.estimate import Observer, open_source, run_observers
 from tsobs_ros.replay.places import Layout
 from tsobs_ros.replay.source import MEASUREMENTS
+from tsobs_ros.series import stamps_of
 from tsobs_ros.simulation.plant import Plant, Trajectories
 
 JOINT = "elastic_joint"

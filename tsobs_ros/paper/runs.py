@@ -27,7 +27,7 @@ from tsobs_ros.paper.augmentation import blend
 from tsobs_ros.paper.examples import PaperExample, torque
 from tsobs_ros.paper.observer import AdaptiveObserver, clip, paper_observer
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.series import stamps_of
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -249,7 +249,7 @@ def compare_on_arm(design: Design, seeds: int) -> ArmComparison:
     arm, asked = ElasticJointArm(), design.arm_request
     period = float(runs.times[1] - runs.times[0])
     known = (period, float(asked.output_std[0]))
-    stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
+    stamps = stamps_of(runs.times)
 
     def errors(
         observer: Estimator, theta: float = math.nan, starts: Array | None = None
