@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The front door's functions: simulate, estimate and compare, on plain arrays and whole bags."""
+"""Functions of the public API: simulate, estimate and compare, on plain arrays and whole bags."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -258,7 +258,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def sync(self) -> None:
         """Force all flushed data to the disk, so that they survive a power cut.
 
-        It may run in a thread of its own, as a disk can be slow. It does nothing once the bag is
+        It may run in a separate thread, as a disk can be slow. It does nothing once the bag is
         closed.
         """
         with self._disk:

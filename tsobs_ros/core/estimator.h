@@ -39,7 +39,7 @@ enum {
     COLOURED_NOISE, /* noise that is correlated in time */
     DRIFT,          /* sensors that drift away */
     TONE,           /* a sensor that oscillates at one or two frequencies */
-    TONE_RESET,     /* place of a second TONE, which begins without knowledge of the arm */
+    TONE_RESET,     /* a second TONE, which forgets what was learnt since the bank woke */
     STANDING,
     FORKS = 6
 };

@@ -148,7 +148,7 @@ typedef struct {
 /* Open an exported design, aligned to 8 bytes. Return NULL, or what is wrong with it. */
 const char *exported_open(exported *view, const void *words, size_t bytes);
 
-/* Make a new tracker in a room of its own. */
+/* Make a new tracker in a separate room. */
 void exported_start(const exported *from, double *room, tracker *view);
 
 /* Write the head of an exported design; its length in bytes includes the head. */

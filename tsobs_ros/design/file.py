@@ -34,7 +34,7 @@ Value: TypeAlias = bool | int | float | str
 
 VERSION = 1
 _ANSWER = ("gain", "certificate", "solver")
-"""Entries of a design file besides its request."""
+"""Entries of a design file other than its request."""
 _ARM_PARAMETERS = ("link_inertia", "motor_inertia", "stiffness", "gravity_torque")
 """Parameters of an arm that have no default in a file; dampings default to 0."""
 IDENTITY_LENGTH = 12
@@ -44,7 +44,7 @@ _BESIDE_SYSTEM = (
     "names", "units", "disturbance", "process_noise", "measurement_std", "rate", "decay_rate",
     "initial_std", "certify_uncertainty", "D_s", "uncertainty",
 )  # fmt: skip
-"""Entries in the file of a T–S system besides `system`, in this order: the rest of its request."""
+"""Entries in the file of a T–S system after `system`, in this order: the rest of its request."""
 _HEADERS = {
     _ARM: """\
 # A certified observer design for an arm with an elastic joint, made by `tsobs design`.
@@ -290,7 +290,7 @@ class _Certificate:
 
 @dataclass
 class _Answer:
-    """The entries of a design file besides its request."""
+    """The entries of a design file other than its request."""
 
     gain: _Gain
     certificate: _Certificate

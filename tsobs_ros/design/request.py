@@ -283,7 +283,7 @@ _LINK_ANGLE = Output(QUANTITIES[LINK_ANGLE], 0.028, (DisturbanceTerm("bias"),))
 
 @dataclass(frozen=True)
 class TorqueDisturbance:
-    """Unknown torques on an arm besides the known one [N m].
+    """Unknown torques on an arm, in addition to the known one [N m].
 
     Attributes:
         motor: Terms of the torque at the motor: friction, offset, an error of the drive's gain.

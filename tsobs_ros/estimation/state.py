@@ -73,7 +73,7 @@ def new_model(
         period: Nominal sampling period [s].
         flow: The record of the prediction model.
         auxiliary: Whether there are states for an unknown torque and for parts of the outputs, and
-            hypotheses besides the design.
+            hypotheses other than the design.
         torque: How torques reach the motor of an arm.
     """
     n, plant, p, m, k, t = shape

@@ -41,7 +41,7 @@ _LARGEST_TURN = 2.0**16
 """Largest turn or decay of a mode in one step [rad]; doubling loses a digit per factor of 10."""
 
 _MAX_DIRECTIONS = 3
-"""Largest number of uncertain directions in a proof besides gravity; k make 4·4^k vertices."""
+"""Largest number of uncertain directions other than gravity in a proof; k make 4·4^k vertices."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,7 +98,7 @@ class Payload(Numbers, kind="payload"):
 
 
 class TorqueDisturbance(NamedTuple):
-    """Torques on motor and link besides the drive's [N m], such as those of a contact.
+    """Torques on motor and link in addition to the drive's [N m], such as those of a contact.
 
     Each is the sum of its components, held from one sample to the next.
     """
@@ -376,7 +376,7 @@ class Trajectories(NamedTuple):
             error, shape (runs, samples, 1).
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
         torque_disturbances: Torques on motor and link that the true arm, with its mismatch but
-            without friction, payload and backlash, would need besides the reported one to
+            without friction, payload and backlash, would need in addition to the reported one to
             accelerate alike, except for random accelerations, shape (runs, samples, 2) [N m].
     """
 
