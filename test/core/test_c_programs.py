@@ -29,7 +29,7 @@ pytestmark = pytest.mark.xdist_group("c program")  # its fixtures take seconds
 ROOT = Path(__file__).resolve().parents[2]
 CORE = ROOT / "tsobs_ros" / "core"
 PROGRAM = ROOT / "examples" / "c" / "step_log.c"
-WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Werror")
+WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
 
 def run(*command: Any, **options: Any) -> "subprocess.CompletedProcess[str]":
@@ -57,7 +57,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "compiler", [("gcc", "-std=c99", "-pedantic"), ("g++", "-x", "c++"), ("clang", "-std=c99")]
+    "compiler", [("gcc", "-std=c99"), ("g++", "-x", "c++"), ("clang", "-std=c99")]
 )
 def test_the_program_is_c_and_cplusplus_without_a_warning(
     compiler: tuple[str, ...], tmp_path: Path
@@ -65,6 +65,22 @@ def test_the_program_is_c_and_cplusplus_without_a_warning(
     if shutil.which(compiler[0]) is None:
         pytest.skip("not installed")
     run(*compiler, *WARNINGS, f"-I{CORE}", "-c", PROGRAM, "-o", tmp_path / "program.o")
+
+
+@pytest.mark.slow
+def test_the_library_of_the_page_shows_only_the_functions_of_its_header(tmp_path: Path) -> None:
+    if shutil.which("cmake") is None:
+        pytest.skip("not installed")
+    page = (ROOT / "docs" / "c_programs.md").read_text("utf-8")
+    (listed,) = re.findall(r"```cmake\n(.*?)```", page, re.DOTALL)
+    head = "cmake_minimum_required(VERSION 3.16)\nproject(page C)\n"
+    (tmp_path / "CMakeLists.txt").write_text(head + listed, "utf-8")
+    run("cmake", "-S", tmp_path, "-B", tmp_path / "build", f"-DCORE={CORE}")
+    run("cmake", "--build", tmp_path / "build")
+    shown = run("nm", "-D", "--defined-only", tmp_path / "build" / "libtsobs.so").stdout
+    names, header = set(re.findall(r" T (\w+)", shown)), (CORE / "tsobs.h").read_text("utf-8")
+    assert {"exported_open", "exported_start", "offer", "estimate_at"} <= names
+    assert [name for name in names if f" {name}(" not in header.replace("*", " ")] == []
 
 
 def two_outputs() -> Design:

@@ -64,16 +64,16 @@ const char *model_view(double *memory, size_t length, model *view)
         return "expected a model's record of another length";
     }
     MODEL_FIELDS(LAYOUT_BIND, s)
-    if (!flow_is_sound(view->flow, (size_t)s->flow_size)) {
+    if (!flow_is_sound(view->flow_record, (size_t)s->flow_size)) {
         return "expected a model's record with a flow";
     }
-    const flow_sizes sizes = flow_sizes_of(view->flow);
+    const flow_sizes sizes = flow_sizes_of(view->flow_record);
     if (sizes.n != s->n || sizes.k != s->k
         || sizes.m != s->m + (*view->gain_mode == GAIN_OPEN ? 2 * s->p : 0)
         || flow_step_size(&sizes) > (size_t)s->scratch) {
         return "expected a model's record with a flow of its sizes";
     }
-    view->design_flow = flow_view(&sizes, view->flow);
+    view->design_flow = flow_view(&sizes, view->flow_record);
     const state initial = state_view(s, view->initial);
     if (!(*view->period >= SHORTEST) || (*view->supervised != 0 && s->hypotheses == 1)
         || (*view->torque_rate > 0.0 && s->width == s->n)
@@ -700,7 +700,7 @@ static void judge_repeats(const model *m, state *at, correction *effect)
 static void suppose_wrong_torque(const model *m, const state *at, const double *u)
 {
     const flow *f = &m->design_flow;
-    const long n = m->s.n, inputs = flow_sizes_of(m->flow).inputs, speed = 3;
+    const long n = m->s.n, inputs = flow_sizes_of(m->flow_record).inputs, speed = 3;
     if (*m->supervised == 0 || *f->kind != KIND_ARM || m->s.past > 0 || *at->torque_unknown != 0
         || *at->since > *m->longest) {
         return;

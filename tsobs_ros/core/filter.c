@@ -489,7 +489,7 @@ static void forget_slowly(const model *m, hypothesis *h, double duration)
 course course_over(const model *m, double duration, double forgotten, work *scratch)
 {
     const flow *f = &m->design_flow;
-    const flow_sizes sizes = flow_sizes_of(m->flow);
+    const flow_sizes sizes = flow_sizes_of(m->flow_record);
     const double period = *m->period;
     course along = {duration, forgotten, .work = flow_step_view(&sizes, scratch->flow)};
     along.whole = (int64_t)floor(duration / period);

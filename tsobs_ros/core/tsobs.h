@@ -13,6 +13,8 @@ extern "C" {
 
 #include "estimator.h"
 
+#pragma GCC visibility push(default) /* a shared library need show nothing else */
+
 /* --- trackers: an estimator with its history, a ring of states, one after each measurement ---
  *
  * A late measurement is put in its place by rewinding to the state before it. So the estimate is,
@@ -153,6 +155,8 @@ void exported_start(const exported *from, double *room, tracker *view);
 
 /* Write the head of an exported design; its length in bytes includes the head. */
 void exported_seal(void *words, size_t bytes);
+
+#pragma GCC visibility pop
 
 #ifdef __cplusplus
 }

@@ -151,7 +151,7 @@ class Estimator:
         model["supervised"] = 1
         # The limit is for an arm's angles; other outputs have other units.
         angles = model["C"][:, [LINK_ANGLE, MOTOR_ANGLE]].any(axis=1)
-        is_arm = model["flow"].view(np.int64)[0] == native.KIND_ARM
+        is_arm = model["flow_record"].view(np.int64)[0] == native.KIND_ARM
         model["disturbance_limit"][~(angles & is_arm)] = math.inf
 
     def limit_torque(self, limits: TorqueLimits | None) -> None:

@@ -86,7 +86,7 @@ def new_model(
         flow.dtype.itemsize // 8, scratch.itemsize // 8,
     )  # fmt: skip
     model = np.zeros(1, types_of(sizes)["model"])
-    model["sizes"], model["flow"][0] = sizes, flow.view(np.float64)
+    model["sizes"], model["flow_record"][0] = sizes, flow.view(np.float64)
     model["period"], model["gate"] = period, np.inf
     for name, value in asdict(torque).items():
         model[f"torque_{name}"] = value
