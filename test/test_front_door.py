@@ -38,6 +38,7 @@ def test_the_import_is_light() -> None:
 
 def test_every_name_is_there_and_explained() -> None:
     assert set(ts.__all__) <= set(dir(ts))
+    assert not {"Any", "TYPE_CHECKING", "import_module"} & set(dir(ts))
     for name in ts.__all__:
         assert inspect.getdoc(getattr(ts, name)), name
         assert f"\n    {name} " in (ts.__doc__ or ""), f"help(tsobs_ros) does not explain {name}"
