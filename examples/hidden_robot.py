@@ -19,6 +19,8 @@ from tsobs_ros.design.request import Output
 from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.resources import config_path
 
+if len(sys.argv) < 3:
+    sys.exit(__doc__)
 motion, recording = sys.argv[1:3]
 seed = int(sys.argv[3]) if len(sys.argv) > 3 else 1  # another seed is another robot
 

@@ -3,6 +3,8 @@
 """An observer for your own arm: request, certified design, estimates, a figure.
 
 Needs cvxpy, clarabel and matplotlib: pip install 'tsobs_ros[design,report]'.
+
+Usage: python own_arm.py [FOLDER for the design and the figure; the current one if omitted]
 """
 
 import sys
@@ -28,7 +30,8 @@ design = ts.synthesise(request)  # if no observer exists, the error explains why
 print(*design.certificate.inequalities, sep="\n")
 path = folder / "my_arm.design.yaml"
 ts.save_design(design, path)
-print(f"wrote {path}: tsobs verify {path}; ros2 run tsobs_ros observer -p design:=…")
+print(f"wrote {path}; next, and with `ros2 run tsobs_ros` before `observer` in a workspace:")
+print(f"tsobs verify {path}", f"observer --ros-args -p design:={path}", sep="\n")
 
 # In place of the simulation: your log's time [s], angle [rad] and torque [N m].
 ramp = {"ramp": {"rate": 0.02, "start": 4.0}}  # the sensor drifts away [rad/s], from 4 s on

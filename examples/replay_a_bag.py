@@ -11,6 +11,8 @@ import numpy as np
 
 import tsobs_ros as ts
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 path = sys.argv[1]
 output = sys.argv[2] if len(sys.argv) > 2 else None
 

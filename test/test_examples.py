@@ -22,7 +22,7 @@ LOG = str(ROOT / "docs" / "examples" / "arm_log.csv")
 NUMBER = r"([+-]?\d+\.\d+)"
 PRINTED = {
     "simulate_and_observe": (rf"estimated at {NUMBER} rad(?s:.*)4001 measurements used", [0.1]),
-    "own_arm": (r"(?s:.*: holds){5}", []),
+    "own_arm": (r"(?s:.*: holds){5}(?s:.*)\nobserver --ros-args -p design:=new/folder/my_arm", []),
     "own_executor": (r"[1-9]\d\d estimates received", []),
     "ts_system": (rf"gyroscope: {NUMBER} rad/s", [0.15]),
     "motor_encoder": (r"(?s:.*: holds){5}(?s:.*)\d N m is estimated to 0\.\d+ N m", []),
@@ -67,6 +67,15 @@ def test_a_log_becomes_a_bag_that_is_replayed(tmp_path: Path, domain_id: int) ->
     assert "elastic_joint: 600 estimates over 3.0 s" in first
     assert "600 messages on /observer/joint_states" in first
     assert "100.0% of the live estimates reproduced to the last bit" in again
+
+
+@pytest.mark.parametrize("name", ["replay_a_bag", "hidden_robot"])
+def test_an_example_without_its_files_shows_its_usage(name: str) -> None:
+    script = [sys.executable, ROOT / "examples" / f"{name}.py"]
+    done = subprocess.run(script, capture_output=True, text=True, env={"PYTHONPATH": str(ROOT)})
+
+    assert (done.returncode, done.stdout) == (1, "")
+    assert f"\nUsage: python {name}.py " in done.stderr
 
 
 class Controller:

@@ -4,8 +4,10 @@
 
 import doctest
 import inspect
+import re
 import subprocess
 import sys
+import warnings
 from importlib import import_module
 from pathlib import Path
 
@@ -36,6 +38,7 @@ def test_the_import_is_light() -> None:
 
 def test_every_name_is_there_and_explained() -> None:
     assert set(ts.__all__) <= set(dir(ts))
+    assert not {"Any", "TYPE_CHECKING", "import_module"} & set(dir(ts))
     for name in ts.__all__:
         assert inspect.getdoc(getattr(ts, name)), name
         assert f"\n    {name} " in (ts.__doc__ or ""), f"help(tsobs_ros) does not explain {name}"
@@ -122,13 +125,17 @@ def test_a_ts_system_is_simulated_and_estimated_by_its_design(example_1: Design)
         ({"torque": [1.0, 2.0]}, r"torque: expected shape \(201,\) or \(201, 1\).*got \(2,\)"),
         ({"torque": np.full(201, 1e308)}, "simulate: the state is not finite from 0.0"),
         ({"torque_disturbance": {"elbow": "ramp"}}, "torque_disturbance: expected some of motor"),
-        ({"rate": 1e-9}, "rate: expected at least 0.01 Hz, got 1e-09"),
+        ({"rate": 1e-9}, "rate: expected a finite number of at least 0.01 Hz, got 1e-09"),
+        ({"duration": "long"}, "duration: expected a finite number"),
+        ({"arm": 3}, "arm: expected a Design .* or the path of its file, got int"),
         ({"duration": 1e300}, "duration: expected at most 100,000,000 samples"),
         ({"time": 1.0}, r"time: expected shape \(n,\) with n > 0, got \(\)"),
         ({"time": [0.0, np.nan]}, r"time\[1\]: expected finite seconds"),
+        ({"time": [0.0, 5e9]}, r"time\[1\]: .* got 5000000000.0; divide nanoseconds by 1e9"),
         ({"time": [], "angle": []}, r"time: expected shape \(n,\) with n > 0, got \(0,\)"),
         ({"angle": [0, 0, 0]}, r"angle: expected shape .* there are 2 times, got \(3,\)"),
         ({"angle": ["a", "b"]}, "angle: expected real numbers"),
+        ({"angle": np.zeros(2, complex)}, "angle: expected real numbers"),
     ],
 )
 def test_what_makes_no_sense_is_refused(design: Design, options, match) -> None:
@@ -175,6 +182,32 @@ def test_a_log_is_estimated_as_its_arrays_are(design: Design) -> None:
         assert np.array_equal(getattr(whole, name), getattr(arrays, name)), name
 
 
+@pytest.mark.parametrize(
+    ("shuffled", "time_unit", "angle_unit", "texts"),
+    [
+        (False, 1.0, 1.0, []),
+        (True, 1.0, 1.0, [r"time\[3\] is earlier than .* 0.5 s: .*; sort them by time"]),
+        (False, 1e3, 1.0, ["at 0.2 Hz, the design is for 200 Hz: .*, or is the time in", ""]),
+        (False, 1.0, 57.3, ["innovations are .* times as large"]),
+    ],
+)
+def test_measurements_of_another_kind_cause_a_warning(
+    design: Design, shuffled: bool, time_unit: float, angle_unit: float, texts: list[str]
+) -> None:
+    run = ts.simulate(design, duration=8.0, seed=1, disturbance="bias_step")
+    order = np.random.default_rng(0).permutation(1601) if shuffled else np.arange(1601)
+    time, angle = run.time[order] * time_unit, run.angle[order] * angle_unit
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ts.estimate(design, time, angle, run.torque[order])
+
+    assert len(caught) == len(texts)
+    for one, text in zip(caught, texts, strict=True):
+        assert re.search(text, str(one.message))
+        assert one.filename == __file__
+
+
 def test_bad_measurements_are_rejected_and_counted(design: Design) -> None:
     run = ts.simulate(design, duration=2.0)
     time, angle = run.time.copy(), run.angle.copy()
@@ -182,7 +215,8 @@ def test_bad_measurements_are_rejected_and_counted(design: Design) -> None:
     time[100], time[200] = time[99], time[201]
     time[300] = 0.0
 
-    estimates = ts.estimate(design, time, angle, run.torque)
+    with pytest.warns(UserWarning, match=r"time\[300\] is earlier .*: 1 of 401 samples are not"):
+        estimates = ts.estimate(design, time, angle, run.torque)
 
     assert estimates.rejected == {"non-finite": 1, "duplicate stamp": 2, "too old": 1}
     assert estimates.used == 397
@@ -197,6 +231,8 @@ def test_paths_may_be_text(tmp_path: Path, design: Design) -> None:
     design_file, bag = str(tmp_path / "x.yaml"), str(tmp_path / "bag")
     ts.save_design(design, design_file)
     assert ts.load_design(design_file).request == design.request
+    assert ts.estimate(design_file, [0.0], [0.1], 0.0).used == 1
+    assert len(ts.simulate(design_file, duration="0.5").time) == 101  # type: ignore[arg-type]
     assert ts.load_request(str(config_path("elastic_joint.request.yaml"))) == design.request
 
     ts.estimate_bag(str(LOG), design_file, output=bag)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Functions of the public API: simulate, estimate and compare, on plain arrays and whole bags."""
 
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -16,13 +17,14 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.records import Basis, RejectReason
+from tsobs_ros.estimation.health import judge_rate, rate_of
+from tsobs_ros.estimation.records import HEALTH, Basis, RejectReason
 from tsobs_ros.estimation.state import types_of
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
-from tsobs_ros.replay.health import PROVED
+from tsobs_ros.replay.health import PROVED, health_of
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.settings import changed
 from tsobs_ros.simulation.plant import Friction, Payload, Plant
@@ -133,7 +135,7 @@ class Estimates:
 
 
 def simulate(
-    arm: ElasticJointArm | Design | ArmRequest | TSRequest | None = None,
+    arm: ElasticJointArm | Design | ArmRequest | TSRequest | str | Path | None = None,
     *,
     duration: float = 20.0,
     rate: float | None = None,
@@ -150,8 +152,8 @@ def simulate(
     """Simulate an arm with an elastic joint, or a T–S system, and its sensors.
 
     Args:
-        arm: The arm, or a design or request, whose plant, outputs, rate and noise are taken; the
-            default arm if None.
+        arm: The arm, or a request, design or design's file, whose plant, outputs, rate and noise
+            are taken; the default arm if None.
         duration: Length of the run [s].
         rate: Sample rate [Hz]; if None, the design's, or 200.
         seed: Seed of everything random: the same seed gives the same numbers.
@@ -185,9 +187,9 @@ def simulate(
     >>> touched.torque_disturbance[-1].tolist()
     [0.0, 3.0]
     """
-    request = arm.request if isinstance(arm, Design) else arm
-    if request is None or isinstance(request, ElasticJointArm):
-        request = ArmRequest(request or ElasticJointArm())
+    if arm is None or isinstance(arm, ElasticJointArm):
+        arm = ArmRequest(arm or ElasticJointArm())
+    request = arm if isinstance(arm, ArmRequest | TSRequest) else _design("arm", arm).request
     is_arm, names = isinstance(request, ArmRequest), request.output_names
     others: dict[str, Any] = {"rate": rate or request.rate, "duration": duration}
     if is_arm:
@@ -239,7 +241,7 @@ def simulate(
 
 
 def estimate(
-    design: Design,
+    design: Design | str | Path,
     time: ArrayLike,
     angle: ArrayLike,
     torque: ArrayLike,
@@ -250,19 +252,22 @@ def estimate(
 
     Row k is the estimate at `time[k]` from the rows up to k. Measurements that are not finite,
     come twice, or are later than `settings.history` allows are rejected and counted; other late
-    ones are put in their place.
+    ones are put in their place. A `UserWarning` says, like `tsobs estimate`, if times go back too
+    far, or if the rate or the measurements do not fit the design.
 
     Args:
-        design: From `load_design` or `synthesise`.
+        design: From `load_design` or `synthesise`, or its file.
         time: Sampling times [s], n of them.
-        angle: Measured link angles [rad], shape (n,); outputs of a T–S system, shape (n, p).
+        angle: Measured link angles [rad], shape (n,). For p outputs, encoders or those of a T–S
+            system, shape (n, p), with the columns in the order of `design.request.output_names`.
         torque: Torque applied from each sample to the next [N m], a number or shape (n,); inputs
-            and scheduled signals of a T–S system, shape (n, m + s).
+            and scheduled signals of a T–S system, shape (n, m + s), in the order of
+            `design.request.input_names`.
         settings: Method, gates and timeouts; the node's defaults if None.
 
     Raises:
-        ModelError: A time is not finite, or the arrays differ in length or do not have the shapes
-            that the design needs.
+        ModelError: The design is neither one nor a file's path, a time is not finite, or the arrays
+            differ in length or do not have the shapes that the design needs.
 
     >>> import tsobs_ros as ts
     >>> design = ts.load_design()
@@ -273,14 +278,25 @@ def estimate(
     >>> estimates.used, estimates.rejected
     (401, {})
     """
+    design, settings = _design("design", design), settings or ObserverSettings()
     times, request = numbers("time", time), design.request
-    stamps, tracker = _stamps(times), make_tracker(design, settings or ObserverSettings())
+    stamps, tracker = _stamps(times), make_tracker(design, settings)
     y = _columns("angle", angle, len(times), len(request.output_names))
     u = _columns("torque", torque, len(times), len(request.input_names))
     count = len(stamps)
     ticks = stamps, np.maximum.accumulate(stamps), np.arange(1, count + 1)
     made = tracker.run(stamps, y, u, ticks)
     rejected = Counter(RejectReason(code) for code in made.outcomes.codes.tolist() if code)
+    late = np.flatnonzero(made.outcomes.codes == RejectReason.TOO_OLD)
+    if len(late):
+        _warn(
+            f"time[{late[0]}] is earlier than one before it by more than `history`, "
+            f"{settings.history:g} s: {len(late)} of {count} samples are not used for that; sort "
+            "them by time"
+        )
+    off, text = judge_rate(rate_of(stamps), request.rate)
+    health = health_of(np.column_stack([made.rows[name] for name in HEALTH]))
+    _warn(text if off else None, health and health.misfit)
     several, innovations = np.ndim(angle) == 2, made.outcomes.innovations
     return _estimates(tracker, times, made.rows, times, innovations, rejected, several)
 
@@ -312,7 +328,7 @@ def estimate_bag(
     """Estimate over a bag or a CSV log, as `tsobs estimate`.
 
     If a bag has a live observer's estimates, new ones are made at the same instants and compared;
-    else they are made at every measurement.
+    else they are made at every measurement. Warnings are as those of `estimate`.
 
     Args:
         path: A bag's folder, an MCAP file, or a log: any other file.
@@ -338,6 +354,9 @@ def estimate_bag(
     source, observers = _observers(path, design, settings, (), joints)
     bag = None if output is None else Path(output)
     (run,) = run_observers(source, observers, bag, rate=rate, as_live=rate is None, keep=True)
+    _warn(*run.warnings())
+    for name, health in run.health().items():
+        _warn(health.misfit and f"{name}: {health.misfit}")
     joints_of = {}
     for joint, name in enumerate(source.joints):
         made, innovations = run.kept(joint)
@@ -423,12 +442,30 @@ def _observers(
     if design is None:
         designs = source.choose_designs()
     else:
-        design = design if isinstance(design, Design) else load_design(design)
+        design = _design("design", design)
         source.take_for_system([design.request])
         designs = {"own": (design,) * len(source.joints)}
     settings = settings or source.ran.settings()
     observers = make_observers(designs, methods or (settings.method,), settings)
     return source, without_misfits(observers)[0] if len(methods) > 1 else observers
+
+
+def _design(name: str, design: object) -> Design:
+    """Return a design, or the one in a file."""
+    if isinstance(design, str | Path):
+        return load_design(design)
+    if not isinstance(design, Design):
+        raise ModelError(
+            f"{name}: expected a Design (of load_design or synthesise) or the path of its file, "
+            f"got {type(design).__name__}"
+        )
+    return design
+
+
+def _warn(*texts: str | None) -> None:
+    """Warn the caller of a public function, unless a text is None."""
+    for text in filter(None, texts):
+        warnings.warn(text, stacklevel=3)
 
 
 def _components(disturbance: Disturbance) -> list[Any]:
@@ -495,7 +532,8 @@ def _stamps(times: Array) -> NDArray[np.int64]:
     wrong = np.flatnonzero(~(np.abs(times) < 2**31))
     if len(wrong):
         raise ModelError(
-            f"time[{wrong[0]}]: expected finite seconds below 2^31, got {times[wrong[0]]}"
+            f"time[{wrong[0]}]: expected finite seconds below 2^31, got {times[wrong[0]]}; divide "
+            "nanoseconds by 1e9"
         )
     stamps = np.round(times * NANOSECONDS).astype(np.int64)
     first = int(stamps.min())

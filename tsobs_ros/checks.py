@@ -49,6 +49,8 @@ def shown(value: object) -> str:
 def numbers(name: str, value: ArrayLike) -> Array:
     """Return a copy of `value` as a float array, or raise `ModelError` if it is not numeric."""
     try:
+        if np.iscomplexobj(value):  # numpy would drop the imaginary part
+            raise TypeError
         return np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"{name}: expected real numbers, got {shown(value)}") from error

@@ -264,6 +264,7 @@ def test_an_edited_design_is_refused_by_its_certificate(
         ("design: {arm: {stiffness: 9}}", "design.arm.link_inertia: missing; an arm has all of"),
         ("desing: {rate: 100}", "design: unknown entry 'desing', expected some of arm, "),
         ("torque_limit: 0", "torque_limit, torque_rate_limit: expected numbers above 0, got 0.0"),
+        ("uncertainty: {stiffness: 40}", "uncertainty.stiffness: expected a relative error"),
         ("x_max: 45", "x_max: expected 0 < x_max <= π rad, got 45.0"),
     ],
 )

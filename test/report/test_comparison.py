@@ -47,6 +47,7 @@ def test_each_is_measured_as_if_it_had_been_recorded(
         ({"noise_std": 0.09}, "times as large as the design expects, as of a noisier sensor"),
         ({"arm": ElasticJointArm(link_inertia=2.0, stiffness=4.0)}, "seems to be of another arm"),
         ({"factor": 10.0}, "the torque of another sign, unit or joint"),
+        ({"factor": -1.0}, "the sensor oscillates, or the torque is wrong; check its sign"),
     ],
 )
 def test_a_design_that_does_not_fit_is_named_as_the_likely_cause(

@@ -152,7 +152,7 @@ def estimate(
             progress=advance,
         )
     errors = [one for one, _ in measure_runs(source, runs, sensors)] if keep else []
-    remarks += dict.fromkeys(text for run in runs for text in run.warnings())
+    remarks += dict.fromkeys(f"warning: {text}" for run in runs for text in run.warnings())
     mapping, text = _result(source, runs, errors, output, time.monotonic() - begin, remarks)
     show(mapping, text, options.json)
     if source.damage is not None:

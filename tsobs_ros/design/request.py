@@ -329,8 +329,8 @@ class ArmRequest(Request):
         decay_rate: Certified rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
         initial_std: 1σ of [q₁, q̇₁, q₂, q̇₂] before any measurement (rad, rad/s), shape (4,).
         uncertainty: Bound on |θ| of each uncertain parameter, by its name in
-            `model.flow.ARM_DIRECTIONS`: relative, or N m s/rad for a damping. Without gravity the
-            bound of gravity is dropped.
+            `model.flow.ARM_DIRECTIONS`: relative, below 1 for stiffness and inertias, or N m s/rad
+            for a damping. Without gravity the bound of gravity is dropped.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
         torque_limit: Largest plausible torque [N m]; None: see `torque_limits`; `NO_LIMIT` or more,
             or 0: no limit. A request file may not have 0.
@@ -397,6 +397,12 @@ class ArmRequest(Request):
                 }
             ),
         )
+        for name, bound in self.uncertainty.items():
+            if bound >= 1.0 and not name.endswith(("gravity", "damping")):
+                raise ModelError(
+                    f"uncertainty.{name}: expected a relative error below 1, got {bound!r}; for "
+                    "40 % write 0.4"
+                )
         for name in ("torque_limit", "torque_rate_limit"):
             if (limit := getattr(self, name)) is not None:
                 self._take(**{name: non_negative(name, limit)})

@@ -179,7 +179,8 @@ def judge_rate(measured: float, wanted: float) -> tuple[int, str]:
     if not off:
         return 0, f"{text} is for that"
     what = "the bound may never be certified" if off > 0 else "no narrower bound comes of it"
+    unit = "" if 0.1 < wanted / measured < 10.0 else ", or is the time in another unit?"
     return off, (
         f"{text} is for {wanted:g} Hz: {what}; set `rate` of its request to what comes and "
-        "design again, or let the driver send as often as it says"
+        f"design again, or let the driver send as often as it says{unit}"
     )

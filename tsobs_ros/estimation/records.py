@@ -104,7 +104,11 @@ class Hypothesis(Code):
         "the sensor moves away, or is wrong for a while",
         "a larger density of its disturbance in the design would follow it",
     )
-    TONE = 6, "the sensor oscillates", "a sinusoid in the design's disturbances would estimate it"
+    TONE = (
+        6,
+        "the sensor oscillates, or the torque is wrong",
+        "check its sign and unit; a sinusoid in the design's disturbances would estimate a tone",
+    )
 
     @property
     def level(self) -> Level:

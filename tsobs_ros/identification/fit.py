@@ -221,7 +221,7 @@ def _observable(optimum: Optimum, recording: Recording, advance: Advance) -> Arm
             if relative < _KNOWN:
                 bounds.pop(entry, None)
             elif each.seen or entry not in bounds:
-                bounds[entry] = float(f"{relative if each.seen else min(relative, _MOST):.2g}")
+                bounds[entry] = float(f"{min(relative, _MOST):.2g}")
     values = {
         each.name: float(f"{each.start:.6g}")
         for each in numbers_of(request)

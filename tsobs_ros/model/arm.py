@@ -43,7 +43,9 @@ _REFERENCE_ACCELERATION = 10.0
 
 @dataclass(frozen=True)
 class ElasticJointArm:
-    """Physical parameters of an arm with an elastic joint; the defaults are Example 3's.
+    """Physical parameters of an arm with an elastic joint.
+
+    Those that are left out are Example 3's, so state all of your own arm's, as a request file must.
 
     Attributes:
         link_inertia: J₁ [kg m²].

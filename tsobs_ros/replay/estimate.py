@@ -333,7 +333,7 @@ class Run:
         for joint, (name, design) in enumerate(each):
             rate = rate_of(samples.stamps[samples.codes[:, joint] == USED])
             off, text = judge_rate(rate, design.request.rate)
-            found += [f"warning: {name}: {text}"] if off else []
+            found += [f"{name}: {text}"] if off else []
         return found
 
     @cached_property

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, non_negative
+from tsobs_ros.checks import Array, as_matrix, finite, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
@@ -224,9 +224,9 @@ class PlantScenario:
     torque: TorquePath = DIRECT
 
     def __post_init__(self) -> None:
-        if not MIN_RATE <= self.rate < math.inf:
-            raise ModelError(f"rate: expected at least {MIN_RATE} Hz, got {self.rate!r}")
-        non_negative("duration", self.duration)
+        rate = finite("rate", self.rate, MIN_RATE, f" of at least {MIN_RATE} Hz")
+        object.__setattr__(self, "rate", rate)
+        object.__setattr__(self, "duration", non_negative("duration", self.duration))
 
     def motion(self, seeds: Sequence[int]) -> Motion:
         """Return the plants at the first sample, ready to move."""
