@@ -91,7 +91,7 @@ int main(int count, char **arguments)
 
     /* All memory is allocated before the first step. */
     void *words = read_file(arguments[1], &bytes);
-    const char *wrong = exported_open(&design, words, bytes);
+    const char *wrong = tsobs_exported_open(&design, words, bytes);
     if (wrong != NULL) {
         quit(arguments[1], wrong);
     }
@@ -104,7 +104,7 @@ int main(int count, char **arguments)
     int64_t stamp, now = 0;
     const measurements sample = {1, &stamp, y, u};
     const outcomes outcome = {codes, codes + 1, innovations, expected};
-    exported_start(&design, room, &joint);
+    tsobs_exported_start(&design, room, &joint);
 
     FILE *log = fopen(arguments[2], "r");
     if (log == NULL || fgets(line, sizeof line, log) == NULL) {
@@ -120,9 +120,9 @@ int main(int count, char **arguments)
         now = stamp > now ? stamp : now;
 
         /* One step: use the sample, and estimate. */
-        offer(&joint, &sample, now, &outcome);
+        tsobs_offer(&joint, &sample, now, &outcome);
         printf("%.17g", numbers[0]);
-        if (estimate_at(&joint, stamp, row)) {
+        if (tsobs_estimate_at(&joint, stamp, row)) {
             for (i = 0; i < design.row; i++) {
                 printf(",%.17g", row[i]);
             }

@@ -282,7 +282,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
 /* A model. States are in design coordinates; outputs and torques in physical units. */
 #define MODEL_FIELDS(F, s)                                                                        \
     F(COUNTS, sizes, ESTIMATOR_SIZES, 1) /* estimator_sizes */                                    \
-    F(VECTOR, flow_record, s->flow_size, 1) /* of the prediction model */                            \
+    F(VECTOR, flow_record, s->flow_size, 1) /* of the prediction model */                         \
     F(VECTOR, initial, state_size(s), 1) /* state before any sample */                            \
     F(VECTOR, constants, CONSTANTS, 1) /* constants of the bank */                                \
     F(NUMBER, period, 1, 1)          /* nominal time between samples [s] */                       \

@@ -40,7 +40,7 @@ static uint64_t layout_of_records(void)
     return sum;
 }
 
-void exported_seal(void *words, size_t bytes)
+void tsobs_exported_seal(void *words, size_t bytes)
 {
     exported_head *head = words;
     head->magic = MAGIC;
@@ -48,7 +48,7 @@ void exported_seal(void *words, size_t bytes)
     head->checksum = add_bytes(EMPTY, head + 1, bytes - sizeof *head);
 }
 
-const char *exported_open(exported *view, const void *words, size_t bytes)
+const char *tsobs_exported_open(exported *view, const void *words, size_t bytes)
 {
     const exported_head *head = words;
     const size_t least = HEAD + history_size(NULL);
@@ -75,7 +75,7 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
         return wrong;
     }
     const history start = history_view(NULL, (double *)view->memory);
-    if (*start.first != 0 || *start.length != 0 || !history_is_sound(&start)) {
+    if (*start.first != 0 || *start.length != 0 || !tsobs_history_is_sound(&start)) {
         return "its tracker is not new";
     }
     view->sizes = m.s;
@@ -85,9 +85,9 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
     return NULL;
 }
 
-void exported_start(const exported *from, double *room, tracker *view)
+void tsobs_exported_start(const exported *from, double *room, tracker *view)
 {
     memset(room, 0, from->room * sizeof *room);
     memcpy(room, from->memory, history_size(NULL) * sizeof *room);
-    tracker_bind(view, (double *)from->model, from->model_length, room, from->room);
+    tsobs_tracker_bind(view, (double *)from->model, from->model_length, room, from->room);
 }

@@ -54,7 +54,7 @@ static int64_t count_up_to(const tracker *t, int64_t stamp)
     return low;
 }
 
-int history_is_sound(const history *h)
+int tsobs_history_is_sound(const history *h)
 {
     return *h->max_steps >= 1 && *h->max_steps <= MOST_STEPS && *h->first >= 0
            && *h->turn <= slots_for(*h->max_steps) && (*h->first == 0 || *h->first < *h->turn)
@@ -62,7 +62,7 @@ int history_is_sound(const history *h)
            && *h->span >= 0 && *h->future >= 0 && *h->restart_after >= 0;
 }
 
-const char *tracker_bind(
+const char *tsobs_tracker_bind(
     tracker *view, double *model, size_t model_length, double *room, size_t room_length)
 {
     const char *wrong = model_view(model, model_length, &view->m);
@@ -73,7 +73,7 @@ const char *tracker_bind(
         return "expected the room of a tracker";
     }
     view->h = history_view(NULL, room);
-    if (!history_is_sound(&view->h)) {
+    if (!tsobs_history_is_sound(&view->h)) {
         return "expected a history whose places and limits belong together";
     }
     const room_sizes sizes = room_for(&view->m.s, *view->h.max_steps);
@@ -303,7 +303,7 @@ static void offer_some(
     }
 }
 
-void offer(tracker *t, const measurements *given, int64_t now, const outcomes *written)
+void tsobs_offer(tracker *t, const measurements *given, int64_t now, const outcomes *written)
 {
     offer_some(t, given, 0, given->count, now, written);
 }
@@ -342,7 +342,7 @@ static state coast(tracker *t, int64_t place, double duration)
     return shown;
 }
 
-int estimate_at(tracker *t, int64_t stamp, double *row)
+int tsobs_estimate_at(tracker *t, int64_t stamp, double *row)
 {
     const int64_t place = count_up_to(t, stamp) - 1;
     if (place < 0) {
@@ -369,7 +369,7 @@ int estimate_at(tracker *t, int64_t stamp, double *row)
     return 1;
 }
 
-void advance(
+void tsobs_advance(
     tracker *t, const measurements *given, const outcomes *written, const history_ticks *ticks,
     int64_t stale_after)
 {
@@ -382,6 +382,6 @@ void advance(
         ticks->newest[tick] = newest_stamp(t);
         ticks->there[tick] = ticks->newest[tick] > 0
                              && stamp - ticks->newest[tick] <= stale_after
-                             && estimate_at(t, stamp, ticks->rows + tick * width);
+                             && tsobs_estimate_at(t, stamp, ticks->rows + tick * width);
     }
 }

@@ -378,7 +378,7 @@ BIND(estimator_innovations, "dDdddfffiDDDDD")
 /* Bind a tracker; return whether its model and room are valid, else raise. */
 static int take_tracker(const signature *of, const argument *t, tracker *bound)
 {
-    const char *wrong = tracker_bind(
+    const char *wrong = tsobs_tracker_bind(
         bound, t[0].at, (size_t)t[0].length, t[1].at, (size_t)t[1].length);
     return wrong == NULL || refuse(of, wrong) != NULL;
 }
@@ -414,7 +414,7 @@ BIND(history_offer, "dD" "dddi" "DDDD")
     if (!take_tracker(of, t, &by) || !take_measurements(of, t, 6, &by, &given, &written)) {
         return NULL;
     }
-    offer(&by, &given, t[5].integer, &written);
+    tsobs_offer(&by, &given, t[5].integer, &written);
     Py_RETURN_NONE;
 }
 
@@ -424,7 +424,7 @@ BIND(history_estimate, "dD" "iD")
     if (!take_tracker(of, t, &by) || !HAVE(3, (int64_t)estimate_size(&by.m.s))) {
         return NULL;
     }
-    return PyBool_FromLong(estimate_at(&by, t[2].integer, t[3].at));
+    return PyBool_FromLong(tsobs_estimate_at(&by, t[2].integer, t[3].at));
 }
 
 /* Advance one tracker; its model and room are the first two arguments. */
@@ -447,7 +447,7 @@ static int advance_one(const signature *of, const argument *t)
         count, t[9].at, t[10].at, known, t[12].at, t[13].at, t[14].at,
     };
     Py_BEGIN_ALLOW_THREADS
-    advance(&by, &given, &written, &ticks, t[15].integer);
+    tsobs_advance(&by, &given, &written, &ticks, t[15].integer);
     Py_END_ALLOW_THREADS
     return 1;
 }
@@ -480,14 +480,14 @@ BIND(exported_seal, "D")
     if (!HAVE(0, (int64_t)sizeof(exported_head) / 8)) {
         return NULL;
     }
-    exported_seal(t[0].at, (size_t)t[0].length * 8);
+    tsobs_exported_seal(t[0].at, (size_t)t[0].length * 8);
     Py_RETURN_NONE;
 }
 
 BIND(exported_open, "d")
 {
     exported design;
-    const char *wrong = exported_open(&design, t[0].at, (size_t)t[0].length * 8);
+    const char *wrong = tsobs_exported_open(&design, t[0].at, (size_t)t[0].length * 8);
     if (wrong != NULL) {
         return refuse(of, wrong);
     }

@@ -85,10 +85,10 @@ typedef struct {
 } tracker;
 
 /* Return whether the places and limits of a history are consistent. */
-int history_is_sound(const history *h);
+int tsobs_history_is_sound(const history *h);
 
 /* Bind a view. Return NULL, or an error message if a length or place in model or room is wrong. */
-const char *tracker_bind(
+const char *tsobs_tracker_bind(
     tracker *view, double *model, size_t model_length, double *room, size_t room_length);
 
 /* Measurements: stamps [ns], (n,); outputs, NaN if missing, (n, p); and inputs, which hold from
@@ -109,13 +109,13 @@ typedef struct {
 
 /* Use measurements, or refuse them. now: time on the clock of the stamps [ns]. They may be in any
  * order; if their stamps ascend, all late ones together cost one rewind. */
-void offer(tracker *t, const measurements *given, int64_t now, const outcomes *written);
+void tsobs_offer(tracker *t, const measurements *given, int64_t now, const outcomes *written);
 
 /* Write the estimate at a stamp [ns]; return whether there is one.
  *
  * There is none before the first measurement, nor if the last one before the stamp is more than
  * `restart_after` old. One that is not finite is only counted. `estimate_view` reads the row. */
-int estimate_at(tracker *t, int64_t stamp, double *row);
+int tsobs_estimate_at(tracker *t, int64_t stamp, double *row);
 
 /* Ticks. Read: stamps of the estimates, ascending [ns]; the time `now` on the same clock [ns]; and
  * `known`, the number of measurements offered up to the tick, ascending. Written: the stamp of the
@@ -128,7 +128,7 @@ typedef struct {
 } history_ticks;
 
 /* Offer measurements; estimate at ticks where the newest one is at most `stale_after` old [ns]. */
-void advance(
+void tsobs_advance(
     tracker *t, const measurements *given, const outcomes *written, const history_ticks *ticks,
     int64_t stale_after);
 
@@ -148,13 +148,13 @@ typedef struct {
 } exported;
 
 /* Open an exported design, aligned to 8 bytes. Return NULL, or what is wrong with it. */
-const char *exported_open(exported *view, const void *words, size_t bytes);
+const char *tsobs_exported_open(exported *view, const void *words, size_t bytes);
 
 /* Make a new tracker in a separate room. */
-void exported_start(const exported *from, double *room, tracker *view);
+void tsobs_exported_start(const exported *from, double *room, tracker *view);
 
 /* Write the head of an exported design; its length in bytes includes the head. */
-void exported_seal(void *words, size_t bytes);
+void tsobs_exported_seal(void *words, size_t bytes);
 
 #pragma GCC visibility pop
 
