@@ -579,9 +579,25 @@ static int is_first(const model *m, const state *at, long output)
     return *at->age < 8.0 * *m->period && m->disturbed[output] == 0;
 }
 
+/* Return how far a sample is from the estimate of a state; 0 if no output shows that. */
+static double distance_of(const model *m, long i, const correction *effect)
+{
+    const int is_speed = i % 2 == 1 && *m->design_flow.kind == KIND_ARM;
+    double most = 0.0;
+    for (long j = 0; j < m->s.p; j++) {
+        const double *by = m->C + j * m->s.width + i;
+        /* A late angle contains its velocity, but that does not explain the innovation. */
+        if (effect->present[j] && *by != 0.0 && !(is_speed && by[-1] != 0.0)) {
+            most = maximum(most, fabs(effect->innovation[j] / *by));
+        }
+    }
+    return most;
+}
+
 /* Open the covariance of what a fork supposes to have changed at an output's innovation. */
 static void open_fork(
-    const model *m, const state *at, hypothesis *h, int64_t fork, long output, double innovation)
+    const model *m, const state *at, hypothesis *h, int64_t fork, long output, double innovation,
+    const correction *effect)
 {
     const long n = m->s.n, width = m->s.width;
     const double *map = m->disturbance_map + output * width;
@@ -607,15 +623,21 @@ static void open_fork(
             P[(i - 1) * width + i] += 0.5 * std * std * turn;
             P[i * width + i - 1] = P[(i - 1) * width + i];
         } else if (fork == MOVED && i < m->s.plant) {
-            /* At least as far as the sample is away, so that the disturbance need not change. */
-            const double by = m->C[output * width + i];
-            /* A late angle contains its velocity, but that does not explain the innovation. */
-            const int is_speed = i % 2 == 1 && *m->design_flow.kind == KIND_ARM;
-            const int is_late = is_speed && m->C[output * width + i - 1] != 0.0;
-            const double away = by != 0.0 && !is_late ? fabs(innovation / by) : 0.0;
+            const int is_arm = *m->design_flow.kind == KIND_ARM, is_speed = is_arm && i % 2 == 1;
+            const int is_angle = is_arm && !is_speed, is_new = is_first(m, at, output);
             /* An estimated speed beyond the domain may be wrong by all of itself. */
             const double least = maximum(m->domain[i], is_speed ? fabs(h->x[i]) : 0.0);
-            std = is_first(m, at, output) ? away : maximum(least, away);
+            const long other = (i + 2) % 4;
+            /* At least as far as the sample is away, so that the disturbance need not change. */
+            const double away = distance_of(m, i, effect);
+            std = is_new ? away : maximum(least, away);
+            if (is_new && is_angle && distance_of(m, other, effect) == 0.0) {
+                /* An arm that starts elsewhere is there as a whole, with its spring at rest. */
+                const double same = away * m->scale[i] / m->scale[other];
+                P[other * (width + 1)] += same * same;
+                P[i * width + other] += away * same;
+                P[other * width + i] = P[i * width + other];
+            }
         }
         P[i * width + i] += std * std;
     }
@@ -639,7 +661,7 @@ static void suppose(
     }
     hypothesis h = begin_from_best(m, at, place, fork, score);
     *h.cause = fork == JUMPED ? BASIS_JUMP : BASIS_STARTING;
-    open_fork(m, at, &h, fork, output, innovation);
+    open_fork(m, at, &h, fork, output, innovation, effect);
     for (long i = 0; i < m->s.p; i++) {
         const outlook *of = outlook_of(effect, i);
         *h.score += i == output || of->used ? correct_by(m, at, &h, i, 0, 0, effect)
