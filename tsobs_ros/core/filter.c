@@ -99,11 +99,13 @@ static outlook expect(
 }
 
 /* Return the price of a sample. It rises with slow innovations: however small, they show that a
- * hypothesis is wrong. TONE pays more, as a wrong model of the arm may look like a tone. */
+ * hypothesis is wrong, unless all innovations are smaller than the design's noise makes them. TONE
+ * pays more, as a wrong model of the arm may look like a tone. */
 static double price_of(const model *m, const hypothesis *h)
 {
     const double slowness = slowness_of(m, h, *h->slow_power);
-    double price = maximum(1.0, slowness * m->constants[QUIET] / m->constants[SIGN_SLOW]);
+    const double sign = m->constants[SIGN_SLOW] * maximum(*h->nis, 1.0);
+    double price = maximum(1.0, *h->slow_power / sign);
     if (*h->kind == TONE) {
         price += 0.5 * (1.0 + maximum(1.0, slowness));
     }
