@@ -181,7 +181,7 @@ def _note(metrics: RunMetrics | None) -> str:
     if metrics is None:
         return "no estimates"
     if not metrics.windows:
-        return "the recording is too short to have a settled part, so there are no errors"
+        return f"there are no errors, as the recording is {metrics.unsettled}"
     if not metrics.has_truth:
         return "the recording has no ground truth, so there are innovations but no errors"
     return f"errors over the {metrics.settled_time:.1f} s that count as settled"
