@@ -152,6 +152,7 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
 
     good = summarise(metrics, health, nothing, timing)
     assert good.level is Level.OK
+    assert "rejected: unknown" in good.text
     assert good.text.startswith("Errors are inside their 3σ bound for 100 % of 10.0 s")
     assert "Bounds were claimed for 90.5 % of the time, and proved" in good.text
     few = health._replace(claimed=0.18, bases={Basis.CERTIFIED: 0.18, Basis.CONTRADICTED: 0.05})
