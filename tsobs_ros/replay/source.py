@@ -393,8 +393,8 @@ class BagSource:
             )
         if not self.same_clock:
             yield (
-                "note: the bag's stamps and log times are of different clocks, so each measurement "
-                "is taken to have arrived when it was sampled"
+                "note: stamps and log times are of different clocks, so each measurement is taken "
+                "to have arrived when it was sampled"
             )
         if self.was_observed and not self.tick_log:
             yield (
