@@ -237,6 +237,7 @@ def _share(value: float | None) -> str:
 _HELD_OUT = (
     ("held-out sensor", "with_bias.rmse", number_text),
     (f"  inside {SIGMAS:g}σ", "with_bias.inside", _share),
+    ("  median", "median", number_text),
     ("  largest", "largest", number_text),
     ("  bias", "bias", number_text),
     ("  without bias", "without_bias.rmse", number_text),
