@@ -212,3 +212,11 @@ def test_what_anybody_wrote_into_a_record_is_refused_in_one_line(
     assert why in line
     assert line.isprintable()
     assert len(line) < 1000
+
+
+def test_only_the_joints_that_designs_name_are_estimated(arms, write_bag, capsys) -> None:
+    bag = write_bag(arms.messages(20, joints=2))
+    assert estimate(bag, "--design", f"wrist={FIXED}", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["joints"] == ["wrist"]
+    assert "note: --design is for wrist, so no other joint is estimated" in found["remarks"]

@@ -241,6 +241,10 @@ class BagSource:
                 f"{', '.join(shared)}"
             )
         bag, ran, load = self.path, self.ran, cache(load_design)
+        if own and not shared and self.guessed and len(own) < len(self.joints):
+            self.joints = tuple(joint for joint in self.joints if joint in own)
+            names = ", ".join(self.joints)
+            self.remarks += (f"note: --design is for {names}, so no other joint is estimated",)
 
         def design_of(joint: str, path: str | None) -> Design:
             recorded = ran.designs.get(joint, ())
