@@ -130,6 +130,12 @@ def test_a_log_is_estimated_and_becomes_a_bag(
     assert agreement.reproduced == agreement.recorded
 
 
+def test_times_in_ms_that_are_read_as_s_are_suspected(estimate, tmp_path) -> None:
+    rows = [f"{5 * k},0.1,0" for k in range(1, 20)]
+    (warning,) = estimate(opened(log(tmp_path, "t,q,tau", *rows))).warnings()
+    assert warning.endswith("are the times in ms? --units time=ms")
+
+
 @pytest.mark.parametrize(
     ("lines", "options", "match"),
     [

@@ -333,7 +333,7 @@ class Run:
         for joint, (name, design) in enumerate(each):
             rate = rate_of(samples.stamps[samples.codes[:, joint] == USED])
             off, text = judge_rate(rate, design.request.rate)
-            if 700.0 < design.request.rate / rate < 1400.0:
+            if isinstance(self._source, LogSource) and 700.0 < design.request.rate / rate < 1400.0:
                 text += "; are the times in ms? --units time=ms"
             found += [f"warning: {name}: {text}"] if off else []
         return found
