@@ -167,9 +167,11 @@ MERGES = "m0: &m0 {x: 1}\n" + "".join(
         ("a: \x01", "special characters are not allowed|control characters are not allowed"),
         ("--- a\n--- b", "line 2: but found another document|found another document"),
         ("? [1, 2]\n: 3", "line 1: found unhashable key"),
+        ("a:\n\t- 1", "line 2: found a tab; indent by spaces"),
+        ("a: {b: 1}\nc:\n  d: 1\n  d: 1", "line 4: d occurs twice in a mapping"),
     ],
     ids=["laughs", "merges", "base 60", "directive", "many", "large", "deep", "tag", "date",
-         "digits", "control", "documents", "key"],
+         "digits", "control", "documents", "key", "tab", "twice"],
 )  # fmt: skip
 def test_what_is_dangerous_or_malformed_is_refused_in_one_line(text: str, problem: str) -> None:
     with pytest.raises(ValueError, match=problem) as caught:

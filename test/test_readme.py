@@ -145,7 +145,7 @@ class Shell:
                     self._capfd.readouterr()
                     self.run(command, error)
                     self.printed[command], err = self._capfd.readouterr()
-                    assert "unknown parameters" not in err, err
+                    assert "unknown parameter" not in err, err
                     assert "Traceback" not in err
                     assert not error or without_folders(error) == without_folders(err)
             elif block.language == "yaml":
@@ -153,7 +153,7 @@ class Shell:
                 (section,) = safe_load(block.text)
                 name = section.strip("/*") or "observer"
                 self.check_node(name, ["--ros-args", "--params-file", f"{number}.yaml"])
-                assert "unknown parameters" not in self._capfd.readouterr().err
+                assert "unknown parameter" not in self._capfd.readouterr().err
 
     def run(self, command: str, error: str) -> None:
         if command.startswith(NOT_RUN):

@@ -181,4 +181,4 @@ def _plain(data: Any, kinds: set[Any]) -> Any:
     if type(data) is float and int in kinds and data.is_integer():
         return int(data)
     wanted = " or ".join(words for kind, words in _WORDS.items() if kind in kinds)
-    raise DesignFileError(f"expected {wanted}, got {shown(data)}")
+    raise DesignFileError(f"expected {wanted}, got {'nothing' if data is None else shown(data)}")

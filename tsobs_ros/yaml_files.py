@@ -27,8 +27,19 @@ _TAGS = re.compile(r"(^|[\r\n\x85\u2028\u2029])\ufeff?%TAG")
 # With colons, PyYAML's time grows with the square of the length.
 _LONG_NUMBER = re.compile(r"[-+0-9_:.]{200,}")
 
+
 # libyaml's parser is five times as fast; PyYAML without it behaves the same.
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Refuses a key that occurs twice, of which PyYAML would take the last value."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        mapping, names = super().construct_mapping(node, deep), set[tuple[str, str]]()
+        for key, _ in node.value:
+            if (key.tag, key.value) in names:
+                problem = f"{key.value} occurs twice in a mapping"
+                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
+            names.add((key.tag, key.value))
+        return mapping
 
 
 MakeError = Callable[[str], TsobsError]
@@ -49,7 +60,7 @@ def read_text(path: str | PathLike[str], error: MakeError = DesignFileError) -> 
     with naming_path(path, error), open_regular(Path(path)) as stream:
         raw = stream.read(MAX_BYTES + 1)
     if len(raw) > MAX_BYTES:
-        raise error(f"{path}: larger than {MAX_BYTES} bytes")
+        raise error(f"{path}: expected a YAML file of at most {MAX_BYTES} bytes, got a larger one")
     try:
         return raw.decode("utf-8")
     except UnicodeDecodeError as problem:
@@ -65,7 +76,8 @@ def yaml_mapping(
     except ValueError as problem:
         raise error(f"{name}: not valid YAML: {problem}") from problem
     if not isinstance(data, dict):
-        raise error(f"{name}: expected a mapping, got {type(data).__name__}")
+        got = "nothing: it is empty" if data is None else type(data).__name__
+        raise error(f"{name}: expected a mapping, got {got}")
     return data
 
 
@@ -86,10 +98,12 @@ def load_yaml(text: str) -> object:
         raise ValueError(f"larger than {MAX_BYTES} bytes")
     try:
         _check_structure(text)
-        return yaml.load(text, Loader=_LOADER)
+        return yaml.load(text, Loader=_Loader)
     except yaml.YAMLError as error:
         mark, problem = (getattr(error, name, None) for name in ("problem_mark", "problem"))
         line = f"line {mark.line + 1}: " if mark else ""
+        if mark and text[mark.index : mark.index + 1] == "\t":
+            problem = "found a tab; indent by spaces"
         raise ValueError(line + str(problem or error).partition("\n")[0]) from error
     except (ValueError, OverflowError, RecursionError) as error:
         # Such as a date that does not exist, or a number of five thousand digits.
@@ -101,7 +115,7 @@ def _check_structure(text: str) -> None:
     if _TAGS.search(text):  # libyaml compares each one with all before it
         raise ValueError("abbreviations of tags are not supported")
     depth = nodes = 0
-    for event in yaml.parse(text, Loader=_LOADER):
+    for event in yaml.parse(text, Loader=_Loader):
         problem = ""
         nodes += isinstance(event, yaml.NodeEvent)
         depth += isinstance(event, yaml.CollectionStartEvent)

@@ -122,7 +122,7 @@ def test_chunks_without_indexes_are_read_and_files_without_chunks_once_recovered
 def test_what_is_not_there_is_named(bag: Path, tmp_path: Path) -> None:
     with pytest.raises(BagReadError, match="bag: no topic /c; topics: /a, /b"):
         BagReader(bag).messages(["/a", "/c"])
-    with pytest.raises(BagReadError, match=r"none\.mcap: there is no such bag"):
+    with pytest.raises(BagReadError, match=r"none\.mcap: there is no such file"):
         BagReader(tmp_path / "none.mcap")
     with pytest.raises(BagReadError, match=r"not a bag folder, it has no metadata\.yaml$"):
         BagReader(tmp_path)

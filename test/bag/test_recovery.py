@@ -182,7 +182,7 @@ def test_if_nothing_can_be_recovered_nothing_is_made(
 
 
 def test_outputs_and_inputs_that_cannot_be_are_named(tmp_path: Path) -> None:
-    with pytest.raises(BagReadError, match="none: there is no such bag"):
+    with pytest.raises(BagReadError, match="none: there is no such file"):
         recover(tmp_path / "none", tmp_path / "new")
     with pytest.raises(BagReadError, match=r"not a bag, there is no \.mcap file in it"):
         recover(tmp_path, tmp_path / "new")

@@ -126,7 +126,7 @@ def test_files_that_are_missing_or_too_many_are_errors(bag: Path) -> None:
         "metadata.yaml: the file 'bag_1.mcap' is not there",
         "bag_7.mcap: metadata.yaml does not list it: a reindexing would stumble over it",
     )
-    with pytest.raises(BagReadError, match="none: there is no such bag"):
+    with pytest.raises(BagReadError, match="none: there is no such file"):
         verify(bag / "none")
 
 

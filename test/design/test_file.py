@@ -201,7 +201,7 @@ ARM = [
     (("certificate", "P", 1, 2), math.inf, r"certificate.P\[1\]\[2\]: expected a finite number"),
     (("design", "arm"), {"link_inertia": 1e-200, "motor_inertia": 1e-200}, "must be finite"),
     (OUTPUTS, [{**OUTPUT, "measures": "link_angle"}], "disturbance: expected in outputs, one per"),
-    (("design", "measurement_std"), None, "design.measurement_std: expected a value, got None"),
+    (("design", "measurement_std"), None, "design.measurement_std: expected a value, got nothing"),
 ]
 SYSTEM = [
     (("system", "rules"), ..., "system.rules: missing"),
@@ -265,7 +265,9 @@ def test_an_edited_design_is_refused_by_its_certificate(
         ("desing: {rate: 100}", "design: unknown entry 'desing', expected some of arm, "),
         ("torque_limit: 0", "torque_limit, torque_rate_limit: expected numbers above 0, got 0.0"),
         ("uncertainty: {stiffness: 40}", "uncertainty.stiffness: expected a relative error"),
-        ("x_max: 45", "x_max: expected 0 < x_max <= π rad, got 45.0"),
+        ("x_max: 45", "x_max: expected 0 < x_max <= π rad, got 45.0: is it in degrees?"),
+        ("rate:", "design.rate: expected a number, got nothing"),
+        ("", "expected a mapping, got nothing: it is empty"),
     ],
 )
 def test_a_request_that_cannot_be_meant_is_asked_about(
@@ -283,7 +285,7 @@ def test_what_is_no_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "my.yaml"
     for text in (b"\xff\xfe\x00\x01", b"a: [", b"- format", b" " * (1 << 21)):
         path.write_bytes(text)
-        with pytest.raises(DesignFileError, match=r"my\.yaml: (not valid|expected a map|larger)"):
+        with pytest.raises(DesignFileError, match=r"my\.yaml: (not valid|expected a)"):
             load_design(path)
 
 

@@ -43,6 +43,11 @@ def test_integers_and_empty_lists_are_accepted_for_lists_of_doubles(ros: Any) ->
         assert start(ros, "plant_simulator", initial_state=empty).parameters.initial_state == ()
 
 
+def test_a_misspelt_parameter_is_named_with_the_one_that_is_meant(ros: Any, capfd: Any) -> None:
+    start(ros, "observer", desing="my.design.yaml")
+    assert "unknown parameter 'desing'; did you mean 'design'?" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("name", "parameters", "reason"),
     [

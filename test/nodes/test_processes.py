@@ -141,7 +141,7 @@ def test_the_shipped_parameters_fit_together_and_the_recorder_awaits_nothing_for
 
     assert "not recording" not in processes["recorder"].output
     for process in processes.values():
-        assert "ignored unknown parameters" not in process.output
+        assert "ignored unknown parameter" not in process.output
     recorded = BagReader(bag).topics
     assert {f"/observer/{name}" for name in OF_EVERY_OBSERVER} <= recorded.keys()
     assert {"/diagnostics", "/ground_truth/joint_states", "/joint_measurements"} <= recorded.keys()

@@ -111,7 +111,7 @@ def test_a_report_is_of_one_joint_and_names_those_there_are(
         assert main([*command, *options]) == 1
         assert error in capsys.readouterr().err
     assert main([*command, "--joint", "wrist"]) == 0
-    assert "note: the run is too short to have a settled part" in capsys.readouterr().out
+    assert "the run is too short" in capsys.readouterr().out
     report = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     known = load_design(FIXED)
     assert (report["joint"], report["windows"]) == ("wrist", [])
@@ -212,3 +212,11 @@ def test_what_anybody_wrote_into_a_record_is_refused_in_one_line(
     assert why in line
     assert line.isprintable()
     assert len(line) < 1000
+
+
+def test_only_the_joints_that_designs_name_are_estimated(arms, write_bag, capsys) -> None:
+    bag = write_bag(arms.messages(20, joints=2))
+    assert estimate(bag, "--design", f"wrist={FIXED}", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["joints"] == ["wrist"]
+    assert "note: --design is for wrist, so no other joint is estimated" in found["remarks"]

@@ -170,12 +170,12 @@ def test_what_cannot_be_used_is_counted(arms, write_bag, estimate) -> None:
 @pytest.mark.parametrize(
     ("topic", "options", "match"),
     [
-        ("/other", {}, "no topic ends in joint_measurements, choose one of: /other"),
+        ("/other", {"joints": ["knee"]}, "no message of /other has link_angle of knee"),
         ("/joint_measurements", {"topic": "/x"}, "no topic /x; topics: /joint_measurements"),
         (
             "/joint_measurements",
             {"joints": ["knee"]},
-            r"no message of .* has link_angle of knee .*it has: elbow",
+            "has link_angle of knee .*it has: elbow; all of it for --joints elbow",
         ),
     ],
 )

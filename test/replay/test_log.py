@@ -130,6 +130,12 @@ def test_a_log_is_estimated_and_becomes_a_bag(
     assert agreement.reproduced == agreement.recorded
 
 
+def test_times_in_ms_that_are_read_as_s_are_suspected(estimate, tmp_path) -> None:
+    rows = [f"{5 * k},0.1,0" for k in range(1, 20)]
+    (warning,) = estimate(opened(log(tmp_path, "t,q,tau", *rows))).warnings()
+    assert warning.endswith("another unit? For ms: --units time=ms")
+
+
 @pytest.mark.parametrize(
     ("lines", "options", "match"),
     [
@@ -138,7 +144,8 @@ def test_a_log_is_estimated_and_becomes_a_bag(
         (("t,x,tau", "1,2,3"), {}, "no column is called link_angle; .*'t', 'x', 'tau'"),
         (("t,q", "1,2"), {}, "no column is called torque.*assume_zero_torque=true"),
         (("t,q,tau", "1,2,3", "2,abc,3"), {}, "line 3, column 'q': expected a number in rad, got"),
-        (("t,q,tau", "4e18,2,3"), {}, "line 2, column 't': expected a time in s below 68 years"),
+        (("t,q,tau", "4e18,2,3"), {}, "line 2, column 't': .*below 68 years.*--units time=ns"),
+        (("t,q,tau", *(f"{9 - k / 9},2,3" for k in range(30))), {}, "line 12: .*sort them by time"),
         (("t,q,tau", "2024-13-01T00:00:00,2,3"), {}, "line 2, column 't': expected a time"),
         (
             ("t,q,tau", *["1,2,3"] * 20, '1,"2,3', *["1,2,3"] * 300, '1,"2,3'),

@@ -62,6 +62,7 @@ def test_errors_in_a_log_are_those_against_the_truth_and_the_noise(
     motor_design, run, design_file, tmp_path, capsys, title
 ) -> None:
     link = link_sensor(run)
+    link[2000::500] += 0.05  # outliers of the sensor
     link = np.degrees(link) if "deg" in title else link
     log = write_log(tmp_path / "log.csv", run, link, title)
     option = "link_angle=q_link" if "deg" in title else "link_angle"
@@ -82,7 +83,7 @@ def test_errors_in_a_log_are_those_against_the_truth_and_the_noise(
         assert abs(found["bias"]) < 0.001
     (certified, _) = rows
     expected = np.hypot(true_error(motor_design, run), STD)
-    assert certified["held_out"]["with_bias"]["rmse"] == pytest.approx(expected, rel=0.03)
+    assert certified["held_out"]["median"] == pytest.approx(0.6745 * expected, rel=0.05)
     assert certified["held_out"]["claimed"] == 1.0
 
 

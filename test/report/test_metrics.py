@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TorqueDisturbance
 from tsobs_ros.report.comparison import ObserverErrors, metrics_cells, render_comparison
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.run import RecordedRun
@@ -82,7 +83,18 @@ def test_small_steps_of_the_disturbance_are_no_jumps(exact) -> None:
 
     assert measure(changed(exact, true_disturbance=ramp)).jumps == ()
     (jump,) = measure(changed(exact, true_disturbance=chatter)).jumps
-    assert jump == (20.0, pytest.approx(0.1), "disturbance")
+    assert jump == (20.0, pytest.approx(0.1))
+
+
+def test_friction_that_reverses_unsettles_nothing_but_a_sensor_that_jumps_does(exact) -> None:
+    term = DisturbanceTerm("gauss_markov", {"std": 0.1, "time_constant": 0.5})
+    request = ArmRequest(torque_disturbance=TorqueDisturbance((term,)))
+    friction = 5.0 * np.sign(np.sin(3.0 * exact.times))[:, np.newaxis]
+    run = changed(replace(exact, request=request), true_torque_disturbance=friction)
+    assert measure(run).windows == measure(exact).windows
+
+    chattering = measure(changed(exact, true_disturbance=friction))
+    assert (chattering.windows, chattering.unsettled[:13]) == ((), "never settled")
 
 
 def test_what_is_not_known_is_left_out(exact) -> None:

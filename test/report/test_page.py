@@ -9,7 +9,7 @@ import pytest
 
 from tsobs_ros.estimation.events import Event, EventKind
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.estimation.records import Basis
+from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.replay.health import JointEvent, health_of
 from tsobs_ros.report.diagnosed import RecordedStatus, diagnose
 from tsobs_ros.report.metrics import measure
@@ -152,10 +152,15 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
 
     good = summarise(metrics, health, nothing, timing)
     assert good.level is Level.OK
+    assert "rejected: unknown" in good.text
     assert good.text.startswith("Errors are inside their 3σ bound for 100 % of 10.0 s")
     assert "Bounds were claimed for 90.5 % of the time, and proved" in good.text
     few = health._replace(claimed=0.18, bases={Basis.CERTIFIED: 0.18, Basis.CONTRADICTED: 0.05})
     assert summarise(metrics, few, nothing, timing).level is Level.WARN
+    fitting = health._replace(hypothesis=Hypothesis.AS_DESIGNED)
+    misfit = fitting._replace(bases={Basis.CONTRADICTED: 0.96})
+    said = ["behave as designed" in "".join(one.lines()) for one in (fitting, misfit)]
+    assert said == [True, False]
     away = Event(0, EventKind.STATE, Level.WARN, "COASTING: no measurement on /y for 1.2 s")
     events = [JointEvent("elbow", time, away) for time in (0, 10**9)]
     silent = summarise(metrics, health, nothing, timing, events)

@@ -371,7 +371,7 @@ class BagFiles:
         self.metadata: BagMetadata | None = None
         self.problem = ""
         if not bag.exists():
-            raise BagReadError(f"{bag}: there is no such bag")
+            raise BagReadError(f"{bag}: there is no such file or folder")
         if not bag.is_dir():
             return
         with naming_path(bag, BagReadError):

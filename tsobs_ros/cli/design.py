@@ -47,9 +47,13 @@ def run(options: argparse.Namespace) -> int:
         held, free = (frequency / math.tau for frequency in request.arm.resonances)
         lines = [
             f"arm: {', '.join(arm)}",
-            f"resonances: {held:.3g} Hz with the motor held, {free:.3g} Hz with both free; they "
-            f"want {10.0 * free:.3g} Hz and more, the request has {request.rate:g} Hz",
+            f"resonances: {held:.3g} Hz with the motor held, {free:.3g} Hz with both free",
         ]
+        if request.rate < 10.0 * free:
+            lines.append(
+                f"warning: a rate of {request.rate:g} Hz is too low for these resonances: expected "
+                f"at least {10.0 * free:.0f} Hz"
+            )
     lines += [design.text(), f"written to {printable(str(options.output))}"]
     summary = {"design": str(options.output), "request": entries, **design.summary()}
     show(summary, "\n".join(lines), options.json)

@@ -370,7 +370,7 @@ def _arm_request(data: Mapping[str, Any]) -> ArmRequest:
     design = data.get("design")
     for name in ("disturbance", "measurement_std", "outputs"):
         if isinstance(design, Mapping) and name in design and design[name] is None:
-            raise DesignFileError(f"design.{name}: expected a value, got None")
+            raise DesignFileError(f"design.{name}: expected a value, got nothing")
     return decode(data, _ArmFile).design
 
 

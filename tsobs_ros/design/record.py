@@ -212,7 +212,7 @@ class Design:
             width = max(24, *(len(name) + 1 for name in names))
             lines.append("certified 1-sigma bounds before a sample:")
             lines += [
-                f"  {name:<{width}}{bound:.5f}"
+                f"  {name:<{width}}{bound:#.4g}"
                 for name, bound in zip(names, self.bound_std, strict=True)
             ]
         verdict = "the certificate holds" if report.holds else "THE CERTIFICATE DOES NOT HOLD"

@@ -410,7 +410,8 @@ class ArmRequest(Request):
         units = Labels(tuple(unit.values()), tuple(unit[name] for name in measured), ("N m",))
         self._label(Labels(QUANTITIES, measured, ("torque",)), units)
         if not 0.0 < self.x_max <= math.pi:
-            raise ModelError(f"x_max: expected 0 < x_max <= π rad, got {self.x_max!r}")
+            degrees = ": is it in degrees?" * (self.x_max > math.pi)
+            raise ModelError(f"x_max: expected 0 < x_max <= π rad, got {self.x_max!r}{degrees}")
         require_squares("initial_std", self.initial_std)
         self._take(plant_std=self.arm.from_physical(self.initial_std))
         self._check_rates()

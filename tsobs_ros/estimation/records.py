@@ -53,7 +53,7 @@ class Basis(Code):
     """The basis of the published bounds; bad from `CONTRADICTED` on."""
 
     CERTIFIED = 0, "the bound is certified"
-    LEARNT = 1, "the bound holds: it is certified but for the uncertainty of the learnt parameters"
+    LEARNT = 1, "the bound is certified but for the uncertainty of the learnt parameters"
     COVARIANCE = 2, "the bound is not certified: it is the covariance along the estimate"
     STARTING = 3, "the bound is not certified yet: the estimate settles after a start"
     GAP = 4, "the bound is not certified: measurements or torques are missing or rejected"

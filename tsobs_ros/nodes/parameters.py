@@ -12,6 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from typing import Any, Self, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -131,7 +132,9 @@ def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
         node.set_descriptor(name, _descriptor(entry))
     for name in given:
         if not (node.has_parameter(name) or name.startswith("qos_overrides.")):
+            near = get_close_matches(name, known, 1)
             text = f"ignored unknown parameter '{name}'"
+            text += f"; did you mean '{near[0]}'?" if near else ""
             node.get_logger().warning(printable(text))
     return built
 

@@ -209,7 +209,8 @@ class CsvFile:
         except (ValueError, ArithmeticError) as error:
             raise _misread(f"time in {time.unit}, or ISO 8601", line, cells, time) from error
         if abs(stamp) >= _LATEST:
-            raise _misread(f"time in {time.unit} below 68 years", line, cells, time)
+            problem = _misread(f"time in {time.unit} below 68 years", line, cells, time)
+            raise LogError(f"{problem}; of another unit? --units time=ns")
         return stamp
 
     def _pointed(self, text: str) -> str:

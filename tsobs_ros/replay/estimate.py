@@ -333,6 +333,8 @@ class Run:
         for joint, (name, design) in enumerate(each):
             rate = rate_of(samples.stamps[samples.codes[:, joint] == USED])
             off, text = judge_rate(rate, design.request.rate)
+            if isinstance(self._source, LogSource) and 700.0 < design.request.rate / rate < 1400.0:
+                text += " For ms: --units time=ms"
             found += [f"{name}: {text}"] if off else []
         return found
 

@@ -134,11 +134,14 @@ class Health(NamedTuple):
 
     def lines(self) -> tuple[str, ...]:
         """Return the summary as lines for a terminal."""
+        at_end = [self.learning.judged[1]]
+        if self.hypothesis or not self.misfit:  # else it would deny the misfit
+            at_end.append(self.hypothesis.judged[1])
         return (
             f"noise {self.noise_scale:.2f} times the design's, at most {self.max_noise_scale:.2f}",
             f"bounds {_shares(self.bases)}; claimed to hold {100.0 * self.claimed:.3g} %",
             f"taken for {_shares(self.hypotheses)}",
-            f"at the end {self.learning.judged[1]}; {self.hypothesis.judged[1]}",
+            f"at the end {'; '.join(at_end)}",
             *([f"warning: {self.misfit}"] if self.misfit else []),
         )
 

@@ -26,6 +26,8 @@ from tsobs_ros.series import NANOSECONDS
 _BLOCK = 4096
 _ONLY = "elastic_joint"
 _AFTER_RESTART = 1_000_000
+# Share of lines that may lie more than a second behind one before them, without a restart.
+_LATE = 0.1
 
 _NAMES: Mapping[str, tuple[str, ...]] = {
     "time": ("header.stamp", "time", "t", "stamp", "timestamp"),
@@ -195,20 +197,29 @@ class LogSource(BagSource):
 
     def _write_bag(self, time: Column, measured: Sequence[tuple[Place, Column]]) -> None:
         """Write the measurements into a temporary bag, in the order of the lines."""
-        _, stamps, values = self._file.read(time, [column for _, column in measured])
+        lines, stamps, values = self._file.read(time, [column for _, column in measured])
         there = stamps != NO_TIME
         if not there.any():
             raise LogError("no line below the titles has a time")
         first = int(stamps[there].min())
         moved_by = 0 if first > 0 else NANOSECONDS - first
         stamps = np.where(there, stamps + moved_by, 0)
+        parts = passes(stamps)
+        newest = np.concatenate([np.maximum.accumulate(stamps[slice(*ends)]) for ends in parts])
+        behind = np.where(there, newest - stamps, 0) / NANOSECONDS
+        if (late := behind > 1.0).mean() > _LATE:
+            place = int(late.argmax())
+            raise LogError(
+                f"line {lines[place]}: its time is {behind[place]:.6g} s behind that of a line "
+                "before it, as in many lines: sort them by time"
+            )
         layout, last = Layout([place for place, _ in measured]), first + moved_by
         folder = TemporaryDirectory()
         finalize(self, folder.cleanup)
         bag = Path(folder.name, "log")
         with BagWriter(bag) as writer:
             writer.add_topic(self.topic, JOINT_STATE, [QosProfile(reliability="best_effort")])
-            for begin, end in passes(stamps):
+            for begin, end in parts:
                 # Log times rise from line to line: if time goes back, they go on from the last one.
                 shift = last + _AFTER_RESTART - int(stamps[begin]) if begin else 0
                 for place in range(begin, end, _BLOCK):

@@ -73,7 +73,8 @@ class BagSource:
     Args:
         path: The bag's folder, or one MCAP file.
         topic: Full name of the measurements' topic; by default the only one that ends in
-            `joint_measurements`, or the one that the live observer used.
+            `joint_measurements`, or the one that the live observer used, or the only one of
+            JointStates.
         joints: By default the live observer's joints that the first messages have, else all joints
             of the first messages.
         assume_zero_torque: Take a missing effort as torque 0; None: as the live observer did.
@@ -241,6 +242,10 @@ class BagSource:
                 f"{', '.join(shared)}"
             )
         bag, ran, load = self.path, self.ran, cache(load_design)
+        if own and not shared and self.guessed and len(own) < len(self.joints):
+            self.joints = tuple(joint for joint in self.joints if joint in own)
+            names = ", ".join(self.joints)
+            self.remarks += (f"note: --design is for {names}, so no other joint is estimated",)
 
         def design_of(joint: str, path: str | None) -> Design:
             recorded = ran.designs.get(joint, ())
@@ -319,11 +324,17 @@ class BagSource:
     def _find_measurements(self, observed: Collection[str]) -> str:
         names = [name for name in self.reader.topics if f"/{name}".endswith(f"/{MEASUREMENTS}")]
         names = names or list(observed)
+        states = [name for name, topic in self.reader.topics.items() if topic.type == JOINT_STATE]
+        if not names and len(states) == 1:
+            self.remarks += (f"note: the measurements are taken from {states[0]}",)
+            names = states
         if len(names) == 1:
             return names[0]
-        has = ", ".join(names or self.reader.topics) or "none"
+        has = ", ".join(names or states or self.reader.topics) or "none"
         what = "several topics end" if names else "no topic ends"
-        raise BagReadError(f"{self.path}: {what} in {MEASUREMENTS}, choose one of: {has}")
+        raise BagReadError(
+            f"{self.path}: {what} in {MEASUREMENTS}; name one with --topic, there are: {has}"
+        )
 
     def _first_names(self) -> tuple[str, ...]:
         messages = until_damage(self.reader.messages([self.topic]), self.damaged)
@@ -377,9 +388,15 @@ class BagSource:
         text = f"no message of {self.topic} has {', '.join(lacking)}"
         if not self.was_observed:
             entries = frozenset().union(*(own.entries for own in self.signals))
-            others = [name for name in self._first_names() if name not in entries]
+            names = self._first_names()
+            others = [name for name in names if name not in entries]
             has = ", ".join([*seen, *others[:_MAX_OTHERS]]) or "none"
-            raise BagReadError(f"{self.path}: {text}, which the design measures; it has: {has}")
+            text = f"{self.path}: {text}, which the design measures; it has: {has}"
+            for name in names:
+                own = self.requests[0].signals(name, alone=False, both_sides=self.both_sides)
+                if {place.name for place in own.outputs} <= {*names}:
+                    raise BagReadError(f"{text}; all of it for --joints {name}")
+            raise BagReadError(text)
         # The live observer continued with the other outputs.
         self.remarks += (f"warning: {text}",)
 
@@ -393,8 +410,8 @@ class BagSource:
             )
         if not self.same_clock:
             yield (
-                "note: the bag's stamps and log times are of different clocks, so each measurement "
-                "is taken to have arrived when it was sampled"
+                "note: stamps and log times are of different clocks, so each measurement is taken "
+                "to have arrived when it was sampled"
             )
         if self.was_observed and not self.tick_log:
             yield (

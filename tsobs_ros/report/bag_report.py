@@ -176,7 +176,7 @@ def _limits(run: RecordedRun, metrics: RunMetrics, diagnosed: Diagnosed) -> Iter
     if run.passes > 1:
         yield f"note: this is the longest of {run.passes} passes of time"
     if not metrics.windows:
-        yield "note: the run is too short to have a settled part, so there are no errors"
+        yield f"note: there are no errors, as the run is {metrics.unsettled}"
     if not diagnosed.count:
         yield "note: the bag has no diagnostics of the observer: no faults, rejects and ticks"
 

@@ -181,7 +181,7 @@ def _note(metrics: RunMetrics | None) -> str:
     if metrics is None:
         return "no estimates"
     if not metrics.windows:
-        return "the recording is too short to have a settled part, so there are no errors"
+        return f"there are no errors, as the recording is {metrics.unsettled}"
     if not metrics.has_truth:
         return "the recording has no ground truth, so there are innovations but no errors"
     return f"errors over the {metrics.settled_time:.1f} s that count as settled"
@@ -237,6 +237,7 @@ def _share(value: float | None) -> str:
 _HELD_OUT = (
     ("held-out sensor", "with_bias.rmse", number_text),
     (f"  inside {SIGMAS:g}σ", "with_bias.inside", _share),
+    ("  median", "median", number_text),
     ("  largest", "largest", number_text),
     ("  bias", "bias", number_text),
     ("  without bias", "without_bias.rmse", number_text),

@@ -115,6 +115,7 @@ class HeldOutSensor(NamedTuple):
             len(error),
             float(np.isfinite(limit).mean()),
             bias,
+            float(np.median(np.abs(error))),
             float(np.abs(error).max()),
             quantity_metrics(self.quantity, error, limit),
             quantity_metrics(self.quantity, error - bias, limit),
@@ -128,6 +129,7 @@ class HeldOutErrors(NamedTuple):
         samples: Number of the sensor's readings between estimates.
         claimed: Share of these readings for which a bound is claimed.
         bias: Mean of estimate − sensor.
+        median: Median of the errors without their signs, which the sensor's outliers do not move.
         largest: Largest error, without its sign.
         with_bias: Sizes of the errors; the square of the noise is added to that of a claimed bound.
         without_bias: Sizes of the errors without their mean.
@@ -137,6 +139,7 @@ class HeldOutErrors(NamedTuple):
     samples: int
     claimed: float
     bias: float
+    median: float
     largest: float
     with_bias: QuantityMetrics
     without_bias: QuantityMetrics

@@ -3,7 +3,7 @@
 """Errors of a run's estimates, and the validity of their published bounds.
 
 Errors are judged over the *settled* parts of a run: without some seconds after the start and after
-each jump of the true disturbance, as no estimator can know the new value at once.
+each jump of a sensor's true disturbance, as no estimator can know the new value at once.
 """
 
 import math
@@ -17,7 +17,7 @@ import numpy as np
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import TSRequest
-from tsobs_ros.report.quantities import Kind, Quantity
+from tsobs_ros.report.quantities import Quantity
 from tsobs_ros.report.run import RecordedRun
 
 SIGMAS = 3.0
@@ -59,11 +59,10 @@ Windows = tuple[tuple[float, float], ...]
 
 
 class Jump(NamedTuple):
-    """A jump of a true disturbance: seconds since the run's origin, its size, and its kind."""
+    """A jump of a true disturbance: seconds since the run's origin, and its size."""
 
     time: float
     size: float
-    kind: Kind
 
 
 @dataclass(frozen=True)
@@ -99,6 +98,13 @@ class RunMetrics:
     def has_truth(self) -> bool:
         """Whether the error of any quantity is known."""
         return any(one.rmse is not None for one in self.quantities)
+
+    @property
+    def unsettled(self) -> str:
+        """The reason why no part is settled, if none is."""
+        if self.duration <= SETTLE_TIME or not self.jumps:
+            return f"too short: no part lies {SETTLE_TIME:g} s after the first estimate"
+        return f"never settled: the true disturbance jumps {len(self.jumps)} times"
 
     @property
     def last(self) -> float:
@@ -220,7 +226,7 @@ def _jumps(run: RecordedRun) -> list[Jump]:
         steps, times = np.diff(truth.values[:, 0]), truth.seconds(run.origin)[1:]
         large = np.abs(steps) > quantity.jump
         each = zip(times[large].tolist(), steps[large].tolist(), strict=True)
-        found += [Jump(time, size, quantity.kind) for time, size in each]
+        found += [Jump(time, size) for time, size in each]
     found.sort(key=lambda jump: jump.time)
     before = [-math.inf, *(one.time for one in found)]
     return [

@@ -53,11 +53,10 @@ def quantities_of(request: ArmRequest | TSRequest) -> tuple[Quantity, ...]:
             jump = _JUMP if is_arm and key.endswith("_angle") else math.inf
             found.append(Quantity(*key_name, unit, "disturbance", place, jump))
     if isinstance(request, ArmRequest):
-        map_ = request.flow.torque_map
+        # Torques have no jumps: friction reverses all the time, and its estimate soon follows.
         for place, side in enumerate(request.torque_sides):
-            size = math.sqrt((map_ @ request.initial_covariance @ map_.T)[place, place])
             key, name = f"torque_disturbance_{side}", f"torque disturbance at {side}"
-            found.append(Quantity(key, name, "N m", "torque_disturbance", place, size))
+            found.append(Quantity(key, name, "N m", "torque_disturbance", place))
     return tuple(found)
 
 

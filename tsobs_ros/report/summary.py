@@ -48,10 +48,11 @@ def summarise(
         one.event.text.startswith(Phase.COASTING.name) and one.event.stamp < until for one in events
     )
     rejected, total = sum(diagnosed.rejected.values()), max(metrics.measurements, 1) + timing.lost
+    said = rejected if diagnosed.count else "unknown"
     parts.append(
         Summary(
             _warn_if(silences > 0 or timing.lost + rejected > _MANY_LOST * total),
-            f"Measurements missing: {timing.lost} of {total}; rejected: {rejected}; silences: "
+            f"Measurements missing: {timing.lost} of {total}; rejected: {said}; silences: "
             f"{silences}.",
         )
     )

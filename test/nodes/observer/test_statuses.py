@@ -185,6 +185,9 @@ def test_a_torque_at_the_link_warns_at_once_and_until_it_has_been_small_for_a_wh
             changes.append((tick, event.level))
             assert f"{link:g} N m (1 sigma 0.5) at the link" in event.text
     assert changes == [(2, Level.WARN), (10, Level.OK)]
+    assert "at the link, beyond 2 N m: a contact" in joint.torque_text(joint.latest, beyond=True)
+    joint.torque_sides = ("motor",)
+    assert "at the motor, beyond 2 N m: friction" in joint.torque_text(joint.latest, beyond=True)
     # It is over, but since the last status it has been.
     levels = [statuses(joints, BEGIN)["torque disturbance"].level for _ in range(2)]
     assert levels == [Level.WARN, Level.OK]

@@ -187,8 +187,10 @@ class ObservedJoint:
     def torque_text(self, estimate: Estimate, beyond: bool) -> str:
         """Return an estimate's torque in words, with a remark if it is beyond the warning level."""
         torque, bound = estimate.torque_disturbance[-1], estimate.torque_disturbance_bound[-1]
-        text = f"{torque:.3g} N m (1 sigma {bound:.2g}) at the {self.torque_sides[-1]}"
-        return text + beyond * f", beyond {self.torque_warn:g} N m: a contact, a payload?"
+        side = self.torque_sides[-1]
+        text = f"{torque:.3g} N m (1 sigma {bound:.2g}) at the {side}"
+        cause = "a contact, a payload?" if side == "link" else "friction, an offset?"
+        return text + beyond * f", beyond {self.torque_warn:g} N m: {cause}"
 
 
 def observed_joints(

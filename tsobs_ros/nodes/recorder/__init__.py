@@ -88,7 +88,7 @@ class Recorder(ManagedNode[RecorderParameters]):
             Level.OK,
             f"closing {self.path}: {self.messages} messages of {len(self.finder.recorded)} "
             f"topics, {self.lost} lost since the first of each, {self.earlier} published before"
-            + (f", losses of {unknown} topics unknown" if unknown else ""),
+            + (f", topics with unknown losses: {unknown}" if unknown else ""),
         )
 
     @property
