@@ -85,6 +85,22 @@ def test_recordings_are_put_right_and_remarks_say_how(log: Recorded) -> None:
     assert "1 gaps are left out" in notes[2]
 
 
+def test_samples_far_from_their_neighbours_are_left_out(log: Recorded) -> None:
+    """Of either encoder, in any size; angles rounded to coarse steps are none."""
+    time, y, u = log
+    rng = np.random.default_rng(0)
+    is_off = rng.random(y.shape) < 0.02
+    off = rng.choice([-1.0, 1.0], y.shape) * np.geomspace(0.015, 6.0, len(time))[:, None]
+    _, (made,), notes = read(request_of(), [(time, y + is_off * off, u)])
+    _, (coarse,), _ = read(request_of(), [(time, 0.01 * np.round(y / 0.01), u)])
+
+    lost = np.isnan(made.y)
+    assert lost[is_off].mean() > 0.95
+    assert lost[~is_off].mean() < 0.005
+    assert f"{lost[:, 1].sum()} of 3,001 samples of link_angle are outliers" in notes[1]
+    assert np.isfinite(coarse.y).all()
+
+
 DRIFT = DisturbanceTerm("gauss_markov", {"std": 0.02, "time_constant": 0.5})
 
 
