@@ -142,7 +142,11 @@ def _with_zero(optimum: Optimum, recording: Recording, advance: Advance) -> Opti
     for place, each in enumerate(optimum.numbers):
         if each.name.endswith("_angle.offset") and not each.significant:
             fewer = optimum.unknowns.without(each.name)
-            begin = np.delete(optimum.coordinates, place)
+            others = np.arange(optimum.unknowns.count) != place
+            bend = optimum.evaluation.information + np.eye(len(others))
+            # The others follow, as a gate would keep out the angle for good if its offset jumped.
+            follow = np.linalg.solve(bend[np.ix_(others, others)], bend[others, place])
+            begin = optimum.coordinates[others] + follow * optimum.coordinates[place]
             return maximise(fewer, recording, advance, begin=begin)
     return optimum
 
