@@ -10,12 +10,13 @@ import pytest
 from identified_joint import ARM, WRONG, recorded, request_of, run_of
 
 import tsobs_ros as ts
-from tsobs_ros.design.request import Output
+from tsobs_ros.design.request import Output, TorqueDisturbance
 from tsobs_ros.identification.fit import _with_zero, maximise
 from tsobs_ros.identification.joint import Unknowns
 from tsobs_ros.identification.recordings import read
 from tsobs_ros.identification.result import request_text
 from tsobs_ros.model.arm import TorquePath
+from tsobs_ros.model.disturbance import DisturbanceTerm
 from tsobs_ros.model.flow import ProcessNoise
 
 pytestmark = pytest.mark.xdist_group("fit")  # its fixture takes seconds
@@ -136,6 +137,16 @@ def test_without_a_zero_of_one_angle_the_gate_does_not_keep_out_the_other() -> N
 
     assert found.evaluation.outliers == 0
     assert {each.name: each.value for each in found.numbers}["link_angle.offset"] < 1e-5
+
+
+def test_friction_is_in_the_request_in_its_full_size_beside_a_drift() -> None:
+    drift = TorqueDisturbance((DisturbanceTerm("gauss_markov", {"std": 0.002}),))
+    sheet = request_of(ARM, torque_disturbance=drift)
+    log = recorded(request_of(ARM), 4.0, 3, RUBBING)
+    found = ts.fit(sheet, log, free=["motor_friction", "torque_disturbance"])
+
+    (term,) = found.request.torque_disturbance.motor
+    assert term["std"] == pytest.approx(found.number("motor_friction").value, rel=1e-5)
 
 
 def test_a_stiffness_that_never_bends_is_not_found() -> None:
