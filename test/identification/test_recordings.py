@@ -13,6 +13,7 @@ from identified_joint import ARM, Recorded, recorded, request_of
 import tsobs_ros as ts
 from tsobs_ros.design.request import Output, TorqueDisturbance
 from tsobs_ros.estimation.baselines import extended_kalman
+from tsobs_ros.identification.diagnosis import output_fits
 from tsobs_ros.identification.joint import Joint, with_values
 from tsobs_ros.identification.likelihood import Recording, innovations
 from tsobs_ros.identification.recordings import read
@@ -146,3 +147,16 @@ def test_a_late_output_and_its_zero_are_those_of_the_design() -> None:
     small = np.abs(innovations(joint, recording).errors).mean()
     blind = with_values(joint, {"link_angle.delay": 0.0})
     assert np.abs(innovations(blind, recording).errors).mean() > 1.05 * small
+
+
+def test_outliers_do_not_count_as_wrong_predictions() -> None:
+    request = request_of(ARM)
+    clean = recording_of(request)
+    spoilt = replace(clean, y=clean.y + 0.0)
+    spoilt.y[600::100, 1] += 3.0
+    ((_, one), _), ((_, other), _) = (
+        output_fits(Joint.of(request), r, 500) for r in (clean, spoilt)
+    )
+
+    assert (one.outliers, other.outliers) == (0, 5)
+    assert other.one_step == pytest.approx(one.one_step, abs=0.5)
