@@ -88,6 +88,7 @@ def request_text(fit: Fit, names: str) -> str:
     comments = [
         f"A request for `tsobs design`, with numbers of `tsobs fit` from {names}.",
         "Units are SI and radians. Noises below are those of a filter without Coulomb friction.",
+        "A delay below 0 is 0 in the request: other outputs' are longer, the torque's is shorter.",
         *str(fit).splitlines(),
     ]
     lines = [*(f"# {each}" for each in comments), "design:"]
