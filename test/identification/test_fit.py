@@ -10,8 +10,13 @@ import pytest
 from identified_joint import ARM, WRONG, recorded, request_of, run_of
 
 import tsobs_ros as ts
+from tsobs_ros.design.request import Output, TorqueDisturbance
+from tsobs_ros.identification.fit import _with_zero, maximise
+from tsobs_ros.identification.joint import Unknowns
+from tsobs_ros.identification.recordings import read
 from tsobs_ros.identification.result import request_text
 from tsobs_ros.model.arm import TorquePath
+from tsobs_ros.model.disturbance import DisturbanceTerm
 from tsobs_ros.model.flow import ProcessNoise
 
 pytestmark = pytest.mark.xdist_group("fit")  # its fixture takes seconds
@@ -101,6 +106,47 @@ def test_several_logs_know_more_than_one_and_a_fit_is_reproducible() -> None:
     assert {each.name.partition(".")[0] for each in one.numbers} == {"arm"}
     assert both.samples[0] == pytest.approx(2 * one.samples[0], rel=0.01)
     assert both.number("stiffness").std < one.number("stiffness").std
+
+
+def test_outliers_change_neither_numbers_nor_predictions() -> None:
+    time, y, u = recorded(request_of(ARM), 4.0)
+    spoilt = y.copy()
+    spoilt[::97, 1] += 2.5
+    spoilt[5::97, 0] -= 0.03
+    free = ["arm", "motor_angle.measurement_std", "link_angle"]
+    clean, found = (ts.fit(request_of(ARM), (time, each, u), free=free) for each in (y, spoilt))
+
+    for one, other in zip(clean.numbers, found.numbers, strict=True):
+        assert abs(one.value - other.value) < one.std, one.name
+    for one, other in zip(clean.outputs, found.outputs, strict=True):
+        assert other.one_step == pytest.approx(one.one_step, abs=0.2)
+    assert "note: the arrays: 21 of 2,001 samples of link_angle are outliers" in str(found)
+
+
+def test_without_a_zero_of_one_angle_the_gate_does_not_keep_out_the_other() -> None:
+    """The zeros of two precise encoders are nearly unknown, but not their difference."""
+    precise = tuple(Output(name, 1e-5) for name in ("motor_angle", "link_angle"))
+    request = request_of(ARM, outputs=precise, process_noise=ProcessNoise(1e-8, 1e-8))
+    _, (recording,), _ = read(request, [recorded(request, 3.0)])
+    free = ["motor_angle.offset", "link_angle.offset", "torque.offset"]
+    best = maximise(Unknowns.of(request, free), recording, lambda _: None)
+    drifted = best.coordinates + np.array([0.0, 2.0, 2.0])
+    found = _with_zero(
+        best._replace(coordinates=drifted, std=np.ones(3)), recording, lambda _: None
+    )
+
+    assert found.evaluation.outliers == 0
+    assert {each.name: each.value for each in found.numbers}["link_angle.offset"] < 1e-5
+
+
+def test_friction_is_in_the_request_in_its_full_size_beside_a_drift() -> None:
+    drift = TorqueDisturbance((DisturbanceTerm("gauss_markov", {"std": 0.002}),))
+    sheet = request_of(ARM, torque_disturbance=drift)
+    log = recorded(request_of(ARM), 4.0, 3, RUBBING)
+    found = ts.fit(sheet, log, free=["motor_friction", "torque_disturbance"])
+
+    (term,) = found.request.torque_disturbance.motor
+    assert term["std"] == pytest.approx(found.number("motor_friction").value, rel=1e-5)
 
 
 def test_a_stiffness_that_never_bends_is_not_found() -> None:

@@ -13,6 +13,7 @@ from identified_joint import ARM, Recorded, recorded, request_of
 import tsobs_ros as ts
 from tsobs_ros.design.request import Output, TorqueDisturbance
 from tsobs_ros.estimation.baselines import extended_kalman
+from tsobs_ros.identification.diagnosis import output_fits
 from tsobs_ros.identification.joint import Joint, with_values
 from tsobs_ros.identification.likelihood import Recording, innovations
 from tsobs_ros.identification.recordings import read
@@ -85,6 +86,22 @@ def test_recordings_are_put_right_and_remarks_say_how(log: Recorded) -> None:
     assert "1 gaps are left out" in notes[2]
 
 
+def test_samples_far_from_their_neighbours_are_left_out(log: Recorded) -> None:
+    """Of either encoder, in any size; angles rounded to coarse steps are none."""
+    time, y, u = log
+    rng = np.random.default_rng(0)
+    is_off = rng.random(y.shape) < 0.02
+    off = rng.choice([-1.0, 1.0], y.shape) * np.geomspace(0.015, 6.0, len(time))[:, None]
+    _, (made,), notes = read(request_of(), [(time, y + is_off * off, u)])
+    _, (coarse,), _ = read(request_of(), [(time, 0.01 * np.round(y / 0.01), u)])
+
+    lost = np.isnan(made.y)
+    assert lost[is_off].mean() > 0.95
+    assert lost[~is_off].mean() < 0.005
+    assert f"{lost[:, 1].sum()} of 3,001 samples of link_angle are outliers" in notes[1]
+    assert np.isfinite(coarse.y).all()
+
+
 DRIFT = DisturbanceTerm("gauss_markov", {"std": 0.02, "time_constant": 0.5})
 
 
@@ -130,3 +147,16 @@ def test_a_late_output_and_its_zero_are_those_of_the_design() -> None:
     small = np.abs(innovations(joint, recording).errors).mean()
     blind = with_values(joint, {"link_angle.delay": 0.0})
     assert np.abs(innovations(blind, recording).errors).mean() > 1.05 * small
+
+
+def test_outliers_do_not_count_as_wrong_predictions() -> None:
+    request = request_of(ARM)
+    clean = recording_of(request)
+    spoilt = replace(clean, y=clean.y + 0.0)
+    spoilt.y[600::100, 1] += 3.0
+    ((_, one), _), ((_, other), _) = (
+        output_fits(Joint.of(request), r, 500) for r in (clean, spoilt)
+    )
+
+    assert (one.outliers, other.outliers) == (0, 5)
+    assert other.one_step == pytest.approx(one.one_step, abs=0.5)

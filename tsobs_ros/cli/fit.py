@@ -40,8 +40,7 @@ def add_parser(commands: Commands) -> None:
     )  # fmt: skip
     add(
         "--max-velocity", type=positive, metavar="RAD/S",
-        help="largest velocity of both (default: a swing through x_max at the joint's fastest "
-        "frequency)",
+        help="largest velocity of both (default: none)",
     )  # fmt: skip
     add(
         "--free", action="append", default=[], metavar="NAME",

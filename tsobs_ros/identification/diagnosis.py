@@ -31,6 +31,7 @@ class OutputFit(NamedTuple):
         free_run: The same with ŷ simulated from the torque alone for `HORIZON` [%].
         innovation_std: 1σ of the innovations relative to the expected one; 1 for a right model.
         correlation: Correlation of neighbouring innovations; 0 if they are white.
+        outliers: Number of innovations beyond `GATE`, whose samples are not in the first two.
     """
 
     name: str
@@ -38,6 +39,7 @@ class OutputFit(NamedTuple):
     free_run: float
     innovation_std: float
     correlation: float
+    outliers: int
 
 
 class Traces(NamedTuple):
@@ -77,8 +79,8 @@ def output_fits(
     fits = []
     columns = zip(measured.T, predicted.T, simulated.T, residual.T, strict=True)
     for name, (y, ahead, made, r) in zip(joint.request.output_names, columns, strict=True):
-        there = np.isfinite(r)
-        run, clean = np.isfinite(made) & there, np.clip(r[there], -GATE, GATE)
+        there, clean = np.abs(r) <= GATE, np.clip(r[np.isfinite(r)], -GATE, GATE)
+        run = np.isfinite(made) & there
         fits.append(
             OutputFit(
                 name,
@@ -86,6 +88,7 @@ def output_fits(
                 free_run=_fit(y[run], made[run]),
                 innovation_std=float(np.sqrt((clean**2).mean())),
                 correlation=float(clean[1:] @ clean[:-1]) / (float(clean @ clean) or 1.0),
+                outliers=len(clean) - int(there.sum()),
             )
         )
     time, torque = recording.time[late], recording.u[late]

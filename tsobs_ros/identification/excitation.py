@@ -75,7 +75,8 @@ class Limits(NamedTuple):
     velocity: float
 
     def __str__(self) -> str:
-        return f"{self.torque:.4g} N m, {self.angle:.4g} rad, {self.velocity:.4g} rad/s"
+        each = zip(self, ("N m", "rad", "rad/s"), strict=True)
+        return ", ".join(f"{value:.4g} {unit}" for value, unit in each if value < math.inf)
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,8 @@ class Excitation:
             [
                 *table(self.numbers, columns),
                 "before, after: expected 1 sigma before and after a recording of this motion",
-                f"limits: {self.limits}; arms within the uncertainty reach {self.worst}",
+                f"limits: {self.limits}; arms within the uncertainty reach {self.worst}, "
+                "with friction less",
                 f"{len(self.time):,} samples, {self.time[-1]:g} s",
             ]
         )
@@ -293,7 +295,7 @@ def excite(
         max_torque: Largest commanded torque [N m]; half of the request's `torque_limit`, at most
             the gravity torque, or 10 rad/s² of both inertias without gravity.
         max_angle: Largest angle of link and motor [rad]; 0.9 of the request's `x_max`.
-        max_velocity: Largest velocity of both [rad/s]; the velocity of the request's reach.
+        max_velocity: Largest velocity of both [rad/s]; none.
         free: Names of the wanted numbers, as in `fit`; all but the torque's gain if empty.
         seed: Seed of the search; the same seed gives the same motion.
         candidates: Number of motions that the search tries; if None, 120, fewer for long ones.
@@ -361,10 +363,10 @@ def _limits(
     found = Limits(
         min(0.5 * largest, request.arm.reference_torque) if torque is None else torque,
         _ANGLE_SHARE * request.x_max if angle is None else angle,
-        float(request.reach[1]) if velocity is None else velocity,
+        math.inf if velocity is None else positive("max_velocity", velocity),
     )
-    for name, value in found._asdict().items():
-        positive(f"max_{name}", value)
+    positive("max_torque", found.torque)
+    positive("max_angle", found.angle)
     for name, value, source, limit in (
         ("max_torque", found.torque, "torque_limit", largest),
         ("max_angle", found.angle, "x_max", request.max_angle),

@@ -142,7 +142,11 @@ def _with_zero(optimum: Optimum, recording: Recording, advance: Advance) -> Opti
     for place, each in enumerate(optimum.numbers):
         if each.name.endswith("_angle.offset") and not each.significant:
             fewer = optimum.unknowns.without(each.name)
-            begin = np.delete(optimum.coordinates, place)
+            others = np.arange(optimum.unknowns.count) != place
+            bend = optimum.evaluation.information + np.eye(len(others))
+            # The others follow, as a gate would keep out the angle for good if its offset jumped.
+            follow = np.linalg.solve(bend[np.ix_(others, others)], bend[others, place])
+            begin = optimum.coordinates[others] + follow * optimum.coordinates[place]
             return maximise(fewer, recording, advance, begin=begin)
     return optimum
 
@@ -200,11 +204,14 @@ def _observable(optimum: Optimum, recording: Recording, advance: Advance) -> Arm
     significant = {each.name for each in numbers if each.significant}
     for side, name in zip(SIDES, FRICTION, strict=True):
         torques = request.torque_disturbance
-        if name in significant and not getattr(torques, side):
-            time_constant = _reversal_time(joint, recording, side)
-            values = {"std": found[name].value, "time_constant": time_constant}
+        if name in significant:
+            size, time_constant = found[name].value, _reversal_time(joint, recording, side)
+            values = {"std": size, "time_constant": time_constant}
             term = DisturbanceTerm("gauss_markov", values)
-            request = replace(request, torque_disturbance=replace(torques, **{side: (term,)}))
+            # A smaller drift is what the filter found beside friction; this term includes it.
+            others = (one for one in getattr(torques, side) if one.get("std", math.inf) > size)
+            changed = replace(torques, **{side: (term, *others)})
+            request = replace(request, torque_disturbance=changed)
             known += [f"torque_disturbance.{side}.0.{key}" for key in values]
     if significant.intersection(FRICTION):
         smooth = with_values(replace(joint, request=request), dict.fromkeys(FRICTION, 0.0))

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from tsobs_ros.checks import Array, numbers
 from tsobs_ros.design.request import ArmRequest
@@ -45,6 +46,10 @@ _BETTER = 100.0
 """Gain in log-likelihood that another sign or scale of the torque must have to count [nat]."""
 
 _SCALES = tuple(10.0 ** (step / 3.0) for step in range(-12, 13))
+
+_SPIKE, _NEARBY, _ROUNDS = 5.0, 41, 8
+"""Distance of an outlier from its neighbours, relative to the median second difference (8σ of white
+noise), number of samples of that median, and number of passes, as outliers hide each other."""
 
 _Raw = tuple[str, Array, Array, Array]
 """Name, times, outputs and torques of a recording."""
@@ -81,6 +86,10 @@ def read(
     found = []
     for name, time, y, u in raw:
         recording = Recording(time, _even(time, request.period), y - zeros, u)
+        for values, output in zip(recording.y.T, request.output_names, strict=True):
+            if lost := _leave_out_spikes(time, values):
+                count = f"{lost:,} of {int(np.isfinite(values).sum()) + lost:,}"
+                notes.append(f"note: {name}: {count} samples of {output} are outliers, left out")
         if lost := int((recording.durations < 0.0).sum()):
             notes.append(f"note: {name}: {lost} gaps are left out")
         try:
@@ -141,6 +150,34 @@ def _complete(name: str, times: Array, y: Array, u: Array) -> _Raw:
             f"expected at least {LEAST_SAMPLES} in {LEAST_TIME:g} s"
         )
     return name, times - times[0], np.ascontiguousarray(y[keep][first]), u[keep][first]
+
+
+def _leave_out_spikes(time: Array, values: Array) -> int:
+    """Make outliers of an output NaN, and return their number.
+
+    An outlier is far from the cubic through its four neighbours, relative to the second differences
+    of the samples nearby. This needs no model, so it also holds before a fit.
+    """
+    known = int(np.isfinite(values).sum())
+    for _ in range(_ROUNDS):
+        places = np.flatnonzero(np.isfinite(values))
+        t, y = time[places], values[places]
+        bend = np.abs(np.diff(y, 2))[1:-1]
+        if len(places) < LEAST_SAMPLES or not bend.any():
+            break
+        near = [slice(i, len(t) - 4 + i) for i in (0, 1, 3, 4)]
+        far = y[2:-2].copy()
+        for one in near:
+            others = (t[each] for each in near if each != one)
+            far -= y[one] * math.prod((t[2:-2] - each) / (t[one] - each) for each in others)
+        far = np.abs(far)
+        # Nearby and anywhere, as at rest there is neither noise nor motion.
+        usual = np.maximum(median_filter(bend, _NEARBY), np.median(bend[bend > 0.0]))
+        # An outlier also moves the cubics of its neighbours, but less.
+        is_spike = (far > _SPIKE * usual) & (far == maximum_filter1d(far, 5))
+        # The first and last ones to have four neighbours stand for those beyond them.
+        values[np.concatenate([places[:1], places[3:-3], places[-1:]])[is_spike]] = np.nan
+    return known - int(np.isfinite(values).sum())
 
 
 def _even(time: Array, period: float) -> Array:

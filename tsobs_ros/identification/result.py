@@ -28,7 +28,7 @@ class Fit:
         lacks: Effects that the fitted request still lacks.
         outputs: Quality of each output's prediction.
         samples: Number of samples that were fitted, and of those held out.
-        outliers: Number of innovations that were taken for outliers.
+        outliers: Number of fitted innovations beyond the gate; `notes` have other outliers.
         notes: Remarks.
         traces: For figures.
     """
@@ -68,8 +68,9 @@ class Fit:
         fitted, held_out = self.samples
         lines.append(f"{fitted:,} samples fitted, {held_out:,} held out")
         for one in self.outputs:
+            lost = f" ({one.outliers:,} samples left out as outliers)" * bool(one.outliers)
             lines.append(
-                f"{one.name}, held out: one sample ahead {one.one_step:.4g} %, simulated for "
+                f"{one.name}, held out{lost}: one sample ahead {one.one_step:.4g} %, simulated for "
                 f"{HORIZON:.3g} s {one.free_run:.4g} %; innovations {one.innovation_std:.3g} "
                 f"times as large as expected, neighbours correlated by {one.correlation:.2f}"
             )
@@ -87,6 +88,7 @@ def request_text(fit: Fit, names: str) -> str:
     comments = [
         f"A request for `tsobs design`, with numbers of `tsobs fit` from {names}.",
         "Units are SI and radians. Noises below are those of a filter without Coulomb friction.",
+        "A delay below 0 is 0 in the request: other outputs' are longer, the torque's is shorter.",
         *str(fit).splitlines(),
     ]
     lines = [*(f"# {each}" for each in comments), "design:"]

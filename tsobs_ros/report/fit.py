@@ -31,7 +31,7 @@ def write_page(path: Path, fit: Fit, names: str) -> None:
     """
     begin, end = fit.traces.time[[0, -1]].tolist()
     part = f"the {'held-out' if fit.samples[1] else 'last (fitted)'} {end - begin:.3g} s"
-    headline = f"{fit.request.rate:g} Hz  ·  {fit.outliers:,} outliers  ·  figures: {part}"
+    headline = f"{fit.request.rate:g} Hz  ·  {fit.outliers:,} large innovations  ·  figures: {part}"
     rows = [
         (n.name, f"{n.before:.4g}", f"{n.value:.4g}", f"{n.std:.2g}", n.unit, _SEEN[n.seen])
         for n in fit.numbers
