@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+import tsobs_ros as ts
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
@@ -19,6 +20,7 @@ from tsobs_ros.estimation.records import USED, Basis, Hypothesis, Measurement, R
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
@@ -311,6 +313,32 @@ def test_a_first_sample_that_is_an_outlier_is_soon_forgotten(off: float) -> None
     assert np.abs(got.state - run.physical[0])[10:, [0, 2]].max() < 0.002
     assert got.inside[10:].mean() > 0.97
     assert "sensor jumps" not in got.found
+
+
+@pytest.mark.parametrize("angle", [1.5, 3.0])
+@pytest.mark.parametrize("sides", [["motor_angle"], ["link_angle"], ["link_angle", "motor_angle"]])
+def test_an_arm_that_starts_far_from_where_it_may_be_is_there(
+    sides: list[str], angle: float
+) -> None:
+    """Without gravity, its encoders might as well have jumped, but both its angles are there."""
+    arm = ElasticJointArm(gravity_torque=0.0)
+    outputs = tuple(Output(side, 0.001) for side in sides)
+    design = synthesise(ArmRequest(arm, outputs=outputs, x_max=3.1, uncertainty={}))
+    start = [angle, 0.0, angle, 0.0]
+    run = ts.simulate(design, duration=10.0, initial_state=start, torque=lambda t: math.sin(3 * t))
+    got = ts.estimate(design, run.time, run.angle, run.torque)
+    inside = (np.abs(got.state - run.state) <= 3.0 * got.state_bound).all(axis=1)
+    assert got.claimed[RATE:].all()
+    assert inside[RATE:].mean() > 0.97
+    assert np.abs(got.state - run.state)[5 * RATE :, [0, 2]].max() < 0.02
+
+
+def test_noise_that_is_smaller_than_designed_is_no_sign_of_a_force() -> None:
+    request = ArmRequest(outputs=(Output("link_angle", 0.002),), x_max=1.2, uncertainty={})
+    run = ts.simulate(request, noise_std=0.0007, duration=30.0, torque=lambda t: 2 * math.sin(t))
+    got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
+    assert (got.hypothesis == Hypothesis.AS_DESIGNED).all()
+    assert got.claimed[5 * RATE :].all()
 
 
 def test_a_tone_is_found_in_an_output_that_comes_seldom() -> None:

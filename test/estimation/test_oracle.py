@@ -196,10 +196,9 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
         S = seen @ one["covariance"] @ seen + loud * variance * noise_scale**2
         S = (level if one["certified"] else S) + omega @ one["gamma"] @ omega
         least = -BANK["OUTLIER_PRICE"] - 0.5 * math.log(level)
-        slow = one["slow_power"] / one["nis"]
-        price = max(1.0, slow / BANK["SIGN_SLOW"])
+        price = max(1.0, one["slow_power"] / (BANK["SIGN_SLOW"] * max(one["nis"], 1.0)))
         if one["kind"] == Hypothesis.TONE:
-            price += 0.5 * (1.0 + max(1.0, slow / BANK["QUIET"]))
+            price += 0.5 * (1.0 + max(1.0, one["slow_power"] / (BANK["QUIET"] * one["nis"])))
         found = -0.5 * (y - seen @ one["x"]) ** 2 / S - 0.5 * math.log(S)
         return max(found - BANK["SLOW_PRICE"] * price, least)
 
