@@ -341,6 +341,21 @@ def test_noise_that_is_smaller_than_designed_is_no_sign_of_a_force() -> None:
     assert got.claimed[5 * RATE :].all()
 
 
+def test_slow_innovations_tell_no_more_at_a_high_rate() -> None:
+    """Their price per second is limited: else a stiff joint as designed seems to be pushed."""
+    arm = ElasticJointArm(0.5, 0.4, 49300.0, 5.0, motor_damping=2.0)
+    bias = DisturbanceTerm("bias", {"density": 1e-6, "initial_std": 0.1})
+    request = ArmRequest(
+        arm, outputs=(Output("link_angle", 0.001, (bias,)),), process_noise=ProcessNoise(1e-2, 1e-2),
+        rate=1000.0, x_max=0.8, initial_std=[0.3, 0.6, 0.3, 0.6], uncertainty={},
+    )  # fmt: skip
+    run = ts.simulate(
+        request, duration=25.0, seed=1, torque=lambda t: sum(np.sin(w * t) for w in (2, 5, 9)) / 3
+    )
+    got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
+    assert (got.hypothesis == Hypothesis.AS_DESIGNED).mean() > 0.9
+
+
 def test_a_tone_is_found_in_an_output_that_comes_seldom() -> None:
     y = simulated(SCENARIOS["noise"], 1, 40).measurements[0, : 40 * RATE].copy()
     y += 0.05 * np.sin(3.0 * np.arange(len(y)) / RATE)[:, np.newaxis]

@@ -98,9 +98,10 @@ static outlook expect(
     return of;
 }
 
-/* Return the price of a sample. It rises with slow innovations: however small, they show that a
- * hypothesis is wrong, unless all innovations are smaller than the design's noise makes them. TONE
- * pays more, as a wrong model of the arm may look like a tone. */
+/* Return the price of a sample, whose base is at most 1 nat per second. It rises with slow
+ * innovations: however small, they show that a hypothesis is wrong, unless all innovations are
+ * smaller than the design's noise makes them. TONE pays more, as a wrong model of the arm may look
+ * like a tone. */
 static double price_of(const model *m, const hypothesis *h)
 {
     const double slowness = slowness_of(m, h, *h->slow_power);
@@ -109,7 +110,7 @@ static double price_of(const model *m, const hypothesis *h)
     if (*h->kind == TONE) {
         price += 0.5 * (1.0 + maximum(1.0, slowness));
     }
-    return m->constants[SLOW_PRICE] * price;
+    return minimum(m->constants[SLOW_PRICE], *m->period) * price;
 }
 
 /* Return the outlook of an output; write Omega = C Upsilon. The likelihood of an outlier is the
