@@ -347,7 +347,8 @@ def test_slow_innovations_tell_no_more_at_a_high_rate() -> None:
     bias = DisturbanceTerm("bias", {"density": 1e-6, "initial_std": 0.1})
     request = ArmRequest(
         arm, outputs=(Output("link_angle", 0.001, (bias,)),), rate=1000.0,
-        process_noise=ProcessNoise(1e-2, 1e-2), x_max=0.8, initial_std=[0.3, 0.6, 0.3, 0.6], uncertainty={},
+        process_noise=ProcessNoise(1e-2, 1e-2), x_max=0.8, initial_std=[0.3, 0.6, 0.3, 0.6],
+        uncertainty={},
     )  # fmt: skip
     run = ts.simulate(
         request, duration=25.0, seed=1, torque=lambda t: sum(np.sin(w * t) for w in (2, 5, 9)) / 3
