@@ -338,7 +338,7 @@ def test_noise_that_is_smaller_than_designed_is_no_sign_of_a_force() -> None:
     run = ts.simulate(request, noise_std=0.0007, duration=30.0, torque=lambda t: 2 * math.sin(t))
     got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
     assert (got.hypothesis == Hypothesis.AS_DESIGNED).all()
-    assert got.claimed[5 * RATE :].all()
+    assert got.claimed.mean() > 0.95
 
 
 def test_slow_innovations_tell_no_more_at_a_high_rate() -> None:

@@ -594,52 +594,65 @@ static double distance_of(const model *m, long i, const correction *effect)
     return most;
 }
 
-/* Open the covariance of what a fork supposes to have changed at an output's innovation. */
-static void open_fork(
-    const model *m, const state *at, hypothesis *h, int64_t fork, long output, double innovation,
-    const correction *effect)
+/* Open the disturbance of an output that may have jumped; a clean sensor drifts then. */
+static void open_disturbance(
+    const model *m, const state *at, hypothesis *h, long output, double innovation)
 {
-    const long n = m->s.n, width = m->s.width;
+    const long width = m->s.width, place = m->s.n + 1 + output;
     const double *map = m->disturbance_map + output * width;
-    double *P = h->covariance;
-    if (fork == JUMPED && m->disturbed[output] == 0) { /* a faulty sensor */
+    if (m->disturbed[output] == 0) {
         if (*h->kind != DRIFT) {
             change_kind(m, at, h, DRIFT);
         }
-        P[(n + 1 + output) * (width + 1)] += innovation * innovation;
+        h->covariance[place * (width + 1)] += innovation * innovation;
         return;
     }
-    for (long i = 0; i < n; i++) {
-        double std = 0.0;
-        if (fork == JUMPED) {
-            std = map[i] != 0.0 ? innovation : 0.0;
-        } else if (fork == HIT && (i == 1 || i == 3)
-                   && (m->C[output * width + i - 1] != 0.0 || m->C[output * width + i] != 0.0)) {
-            /* The speed explains the innovation within a period, but is at most the domain's. The
-             * hit came at any time in that period, and the speed has turned the arm since. */
-            const double turn = m->design_flow.phi[(i - 1) * n + i];
-            std = minimum(fabs(innovation) / *m->period / m->scale[i], m->domain[i]);
+    for (long i = 0; i < m->s.n; i++) {
+        h->covariance[i * (width + 1)] += map[i] != 0.0 ? innovation * innovation : 0.0;
+    }
+}
+
+/* Open the speeds of the sides that an output shows, after a hit. They explain the innovation
+ * within a period, but are at most the domain's. The hit came at any time in that period, and the
+ * speed has turned the arm since. */
+static void open_speeds(const model *m, hypothesis *h, long output, double innovation)
+{
+    const long n = m->s.n, width = m->s.width;
+    double *P = h->covariance;
+    for (long i = 1; i < 4; i += 2) {
+        const double *by = m->C + output * width + i;
+        const double turn = m->design_flow.phi[(i - 1) * n + i];
+        const double std = minimum(fabs(innovation) / *m->period / m->scale[i], m->domain[i]);
+        if (by[-1] != 0.0 || by[0] != 0.0) {
             P[(i - 1) * (width + 1)] += std * std * turn * turn / 3.0;
             P[(i - 1) * width + i] += 0.5 * std * std * turn;
             P[i * width + i - 1] = P[(i - 1) * width + i];
-        } else if (fork == MOVED && i < m->s.plant) {
-            const int is_arm = *m->design_flow.kind == KIND_ARM, is_speed = is_arm && i % 2 == 1;
-            const int is_angle = is_arm && !is_speed, is_new = is_first(m, at, output);
-            /* An estimated speed beyond the domain may be wrong by all of itself. */
-            const double least = maximum(m->domain[i], is_speed ? fabs(h->x[i]) : 0.0);
-            const long other = (i + 2) % 4;
-            /* At least as far as the sample is away, so that the disturbance need not change. */
-            const double away = distance_of(m, i, effect);
-            std = is_new ? away : maximum(least, away);
-            if (is_new && is_angle && distance_of(m, other, effect) == 0.0) {
-                /* An arm that starts elsewhere is there as a whole, with its spring at rest. */
-                const double same = away * m->scale[i] / m->scale[other];
-                P[other * (width + 1)] += same * same;
-                P[i * width + other] += away * same;
-                P[other * width + i] = P[i * width + other];
-            }
+            P[i * (width + 1)] += std * std;
         }
-        P[i * width + i] += std * std;
+    }
+}
+
+/* Open the states of a plant that is elsewhere: by the domain, and at least as far as the sample is
+ * away, so that the disturbance need not change. An arm that starts elsewhere is there as a whole,
+ * with its spring at rest: an angle that no output shows goes along with the other one. */
+static void open_plant(const model *m, hypothesis *h, int is_new, const correction *effect)
+{
+    const long width = m->s.width;
+    const int is_arm = *m->design_flow.kind == KIND_ARM;
+    double *P = h->covariance;
+    for (long i = 0; i < m->s.plant; i++) {
+        const int is_speed = is_arm && i % 2 == 1;
+        /* An estimated speed beyond the domain may be wrong by all of itself. */
+        const double least = maximum(m->domain[i], is_speed ? fabs(h->x[i]) : 0.0);
+        const double away = distance_of(m, i, effect), std = is_new ? away : maximum(least, away);
+        const long other = (i + 2) % 4;
+        P[i * (width + 1)] += std * std;
+        if (is_new && is_arm && !is_speed && distance_of(m, other, effect) == 0.0) {
+            const double same = away * m->scale[i] / m->scale[other];
+            P[other * (width + 1)] += same * same;
+            P[i * width + other] += away * same;
+            P[other * width + i] = P[i * width + other];
+        }
     }
 }
 
@@ -649,7 +662,7 @@ static void suppose(
     const model *m, const state *at, int64_t fork, long output, double innovation,
     correction *effect)
 {
-    const int elsewhere = is_first(m, at, output) ? OUTLIER_PRICE : LOST_PRICE;
+    const int is_new = is_first(m, at, output), elsewhere = is_new ? OUTLIER_PRICE : LOST_PRICE;
     const double price = m->constants[fork == MOVED ? elsewhere : FORK_PRICE];
     const hypothesis from = best_of(m, at);
     const double score = *from.score - price;
@@ -661,7 +674,13 @@ static void suppose(
     }
     hypothesis h = begin_from_best(m, at, place, fork, score);
     *h.cause = fork == JUMPED ? BASIS_JUMP : BASIS_STARTING;
-    open_fork(m, at, &h, fork, output, innovation, effect);
+    if (fork == JUMPED) {
+        open_disturbance(m, at, &h, output, innovation);
+    } else if (fork == HIT) {
+        open_speeds(m, &h, output, innovation);
+    } else {
+        open_plant(m, &h, is_new, effect);
+    }
     for (long i = 0; i < m->s.p; i++) {
         const outlook *of = outlook_of(effect, i);
         *h.score += i == output || of->used ? correct_by(m, at, &h, i, 0, 0, effect)

@@ -61,7 +61,8 @@ static long weigh(const model *m, const state *at, work *scratch)
 static int64_t basis_of(const model *m, const hypothesis *best, int64_t named, double *claimed)
 {
     const double most = m->constants[VOID];
-    const double most_slow = 7.0 * most * (m->constants[QUIET] * maximum(*best->nis, 1.0));
+    const double least = m->constants[LEAST_SCALE] * m->constants[LEAST_SCALE];
+    const double most_slow = 7.0 * most * (m->constants[QUIET] * maximum(*best->nis, least));
     *claimed = *best->nis <= most && *best->slow_power <= most_slow;
     if (*claimed == 0.0) {
         return BASIS_CONTRADICTED;
