@@ -69,10 +69,11 @@ static inline int counts(const model *m, const hypothesis *h)
     return *h->live != 0 && *h->score >= -0.8 * m->constants[FLOOR];
 }
 
-/* Return a power of slow innovations relative to the power that white noise leaves in them. */
-static inline double slowness_of(const model *m, const hypothesis *h, double power)
+/* Return a power of slow innovations relative to the power that white noise leaves in them; nis is
+ * that of all innovations. */
+static inline double slowness_of(const model *m, double power, double nis)
 {
-    return power / (m->constants[QUIET] * *h->nis);
+    return power / (m->constants[QUIET] * nis);
 }
 
 /* Return half the distance from a frequency to the next one at which tones are looked for. */

@@ -104,11 +104,10 @@ static outlook expect(
  * like a tone. */
 static double price_of(const model *m, const hypothesis *h)
 {
-    const double slowness = slowness_of(m, h, *h->slow_power);
     const double sign = m->constants[SIGN_SLOW] * maximum(*h->nis, 1.0);
     double price = maximum(1.0, *h->slow_power / sign);
     if (*h->kind == TONE) {
-        price += 0.5 * (1.0 + maximum(1.0, slowness));
+        price += 0.5 * (1.0 + maximum(1.0, slowness_of(m, *h->slow_power, *h->nis)));
     }
     return minimum(m->constants[SLOW_PRICE], *m->period) * price;
 }

@@ -17,8 +17,8 @@
  * in what is not measured. The factor is limited, as this is not true of large innovations. */
 static double growth_of(const model *m, const hypothesis *h)
 {
-    const double slowness = slowness_of(m, h, *h->slow_power);
-    const double lasting = slowness_of(m, h, *h->lasting), most = 1.5 * m->constants[VOID];
+    const double slowness = slowness_of(m, *h->slow_power, *h->nis);
+    const double lasting = slowness_of(m, *h->lasting, *h->nis), most = 1.5 * m->constants[VOID];
     return clip(maximum(slowness, 0.6 * lasting * lasting), 1.0, most);
 }
 
@@ -62,8 +62,8 @@ static int64_t basis_of(const model *m, const hypothesis *best, int64_t named, d
 {
     const double most = m->constants[VOID];
     const double least = m->constants[LEAST_SCALE] * m->constants[LEAST_SCALE];
-    const double most_slow = 7.0 * most * (m->constants[QUIET] * maximum(*best->nis, least));
-    *claimed = *best->nis <= most && *best->slow_power <= most_slow;
+    const double slowness = slowness_of(m, *best->slow_power, maximum(*best->nis, least));
+    *claimed = *best->nis <= most && slowness <= 7.0 * most;
     if (*claimed == 0.0) {
         return BASIS_CONTRADICTED;
     }
