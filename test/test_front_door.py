@@ -121,6 +121,8 @@ def test_a_ts_system_is_simulated_and_estimated_by_its_design(example_1: Design)
     [
         ({"disturbance": "bias"}, "disturbance kind: expected none or a sum of"),
         ({"disturbance": {"ramp": {"slope": 1.0}}}, "'slope': expected one of rate, start"),
+        ({"disturbance": [{"kind": "ramp"}]}, "a mapping from kinds to their parameters.*got {"),
+        ({"payload": 3.0}, "expected a mapping from .*mass.*, got 3.0"),
         ({"mismatch": {"mass": 0.1}}, "mismatch: expected some of link_inertia"),
         ({"torque": [1.0, 2.0]}, r"torque: expected shape \(201,\) or \(201, 1\).*got \(2,\)"),
         ({"torque": np.full(201, 1e308)}, "simulate: the state is not finite from 0.0"),

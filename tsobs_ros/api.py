@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tsobs_ros.checks import Array, Flags, as_matrix, check_names, numbers
+from tsobs_ros.checks import Array, Flags, as_matrix, check_names, numbers, shown
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
@@ -472,7 +472,14 @@ def _components(disturbance: Disturbance) -> list[Any]:
     if isinstance(disturbance, str):
         return [KINDS[kind]() for kind in parse_kinds(disturbance)]
     if not isinstance(disturbance, Mapping):
-        return list(disturbance)
+        signals = list(disturbance) if isinstance(disturbance, Iterable) else [disturbance]
+        for each in signals:
+            if not isinstance(each, Signal):
+                raise ModelError(
+                    "disturbance: expected kinds, such as 'bias_step', a mapping from kinds to "
+                    f"their parameters, or a list of signals, got {shown(each)}"
+                )
+        return signals
     kinds = parse_kinds("+".join(disturbance) or "none")
     return [changed(KINDS[k](), disturbance[k]) for k in kinds]
 

@@ -203,6 +203,8 @@ def changed(record: T, values: Mapping[str, Any]) -> T:
             other.
     """
     known = settings_of(type(record))
+    if not isinstance(values, Mapping):
+        raise ParameterError(f"expected a mapping from {', '.join(known)}, got {values!r}")
     for name in values:
         if name not in known:
             raise ParameterError(f"parameter '{name}': expected one of {', '.join(known)}")
