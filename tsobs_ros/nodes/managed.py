@@ -33,12 +33,12 @@ from rclpy.time_source import TimeSource
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from tsobs_ros.errors import TsobsError, printable
+from tsobs_ros.errors import ParameterError, TsobsError, printable
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.parameters import ManagedParameters, converted, declare, updated
 from tsobs_ros.nodes.runtime import EXPECTED, Ticker
 from tsobs_ros.series import NANOSECONDS
-from tsobs_ros.settings import values_of
+from tsobs_ros.settings import in_yaml, values_of
 
 # Time for the answer to a shutdown request to be sent, before the node is destroyed [s].
 _FAREWELL = 0.5
@@ -226,6 +226,10 @@ class ManagedNode(LifecycleNode, Generic[P]):
         """Declare parameters; only store the overrides, which rclpy's constructor passes first."""
         if self._overrides is None:
             self._overrides = {name: value for name, value, _ in parameters}
+            # rclpy declares it next, and raises an error that is not for users.
+            if not isinstance(given := self._overrides.get("use_sim_time", False), bool):
+                problem = f"expected true or false, got {in_yaml(given)}"
+                raise ParameterError(f"parameter 'use_sim_time': {problem}")
             return []
         declared: list[Any] = super().declare_parameters(namespace, parameters, ignore_override)
         return declared

@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import ParameterError, printable
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.settings import Setting, changed, setting, settings_of, values_of
+from tsobs_ros.settings import Setting, changed, in_yaml, setting, settings_of, values_of
 
 P = TypeVar("P")
 T = TypeVar("T")
@@ -60,11 +60,13 @@ class SelectingParameters(ManagedParameters):
                     f"parameter '{name}': not a regular expression ({error}): '{pattern}'"
                 ) from error
 
-    def resolved(self, full_name: Callable[[str], str]) -> Self:
-        """Return the parameters with full names in place of the given names of topics."""
-        topics, excluded = (
-            tuple(map(full_name, names)) for names in (self.topics, self.exclude_topics)
-        )
+    def resolved(self, resolve: Callable[[str, str], str]) -> Self:
+        """Return the parameters with full names in place of the given names of topics.
+
+        `resolve` returns the full name for a parameter's name and a given name.
+        """
+        topics = tuple(resolve("topics", name) for name in self.topics)
+        excluded = tuple(resolve("exclude_topics", name) for name in self.exclude_topics)
         return replace(self, topics=topics, exclude_topics=excluded)
 
     def takes(self, topic: str, by_default: bool = True) -> bool:
@@ -113,6 +115,19 @@ class JointParameters(ManagedParameters):
             )
         paths = own or ("",) * len(joints)
         return {joint: path or self.design for joint, path in zip(joints, paths, strict=True)}
+
+
+def full_name(node: Node, parameter: str, name: str) -> str:
+    """Return the full name of what a parameter names, with the remappings of topics.
+
+    Raises:
+        ParameterError: ROS does not accept the name.
+    """
+    try:
+        return str(node.resolve_topic_name(name))
+    except RuntimeError as error:  # rclpy does not export the type
+        problem = f"parameter '{parameter}': expected a ROS name, got {in_yaml(name)}"
+        raise ParameterError(problem) from error
 
 
 def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:

@@ -97,7 +97,7 @@ class PlayerParameters(SelectingParameters):
         Raises:
             ParameterError: A listed topic is not in the bag, or none is left.
         """
-        there, own = list(names), self.resolved(lambda name: f"/{name.removeprefix('/')}")
+        there, own = list(names), self.resolved(lambda _, name: f"/{name.removeprefix('/')}")
         has = f"the bag has {', '.join(there) or 'none'}"
         if missing := sorted(set(own.topics) - set(there)):
             raise ParameterError(f"parameter 'topics': no topic {', '.join(missing)}; {has}")

@@ -22,6 +22,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_states import JointState, JointStateDecoder
 from tsobs_ros.errors import MessageError, NodeError
 from tsobs_ros.estimation.health import Level, Status
+from tsobs_ros.nodes.parameters import full_name
 from tsobs_ros.nodes.runtime import Ticker
 from tsobs_ros.nodes.wire import DrainedSubscription
 from tsobs_ros.replay.places import FIELDS
@@ -73,7 +74,7 @@ class ObserverFeed:
 
     def __init__(self, node: Node, observer: str, wanted: Iterable[str]) -> None:
         self._decode = JointStateDecoder()
-        self.name = node.resolve_topic_name(observer)
+        self.name = full_name(node, "observer", observer)
         self.latest: dict[str, JointState] = {}
         self.arrived: dict[str, float] = {}
         self.statuses: dict[str, Status] = {}

@@ -15,7 +15,7 @@ VISIBLE = {"/arm/joints", "/arm/torque", "/camera/image"}
 GRAPH = VISIBLE | {"/arm/_raw", "/go/_action/feedback", "/arm/reset/_service_event"}
 
 
-def full(name: str) -> str:
+def full(_parameter: str, name: str) -> str:
     return name if name.startswith("/") else f"/arm/{name}"
 
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from typing import Any
 
 from rclpy.duration import Duration
@@ -19,7 +20,7 @@ from tsobs_ros.bag.recording import Received
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.parameters import SelectingParameters
+from tsobs_ros.nodes.parameters import SelectingParameters, full_name
 from tsobs_ros.nodes.wire import DrainedSubscription, message_class
 from tsobs_ros.settings import live_setting, setting
 
@@ -237,7 +238,7 @@ class TopicFinder:
     def __init__(self, node: ManagedNode[RecorderParameters]) -> None:
         self.recorded: dict[str, RecordedTopic] = {}
         self._node = node
-        self._selection = node.parameters.resolved(node.resolve_topic_name)
+        self._selection = node.parameters.resolved(partial(full_name, node))
         self._listed = list(filter(self._selection.wants, self._selection.topics))
         # Names before remapping, by full name; subscribing applies the remappings.
         self._given = dict(zip(self._selection.topics, node.parameters.topics, strict=True))
