@@ -22,6 +22,7 @@ from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.cli.main import main
 from tsobs_ros.errors import OutputError
 from tsobs_ros.files import written_whole
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.yaml_files import load_yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,6 +35,7 @@ COMMANDS = {
     "csv": "export BAG --output OUT",
     "parquet": "export BAG --format parquet --output OUT",
     "report": "report BAG_estimates --no-ekf --output OUT --force",
+    "export-c": f"export-c {config_path(SHIPPED_DESIGN)} --output OUT/new.tsobs",
 }
 
 

@@ -98,18 +98,19 @@ def written_whole(
 
 def write_whole(
     path: str | os.PathLike[str],
-    text: str,
+    content: str | bytes,
     error: Callable[[str], TsobsError] = OutputError,
     *,
     force: bool = True,
 ) -> None:
-    """Make or replace a text file in one step, so that a power cut cannot leave half of it.
+    """Make or replace a file in one step, so that a power cut cannot leave half of it.
 
     Raises:
         TsobsError: It cannot be written, or exists and may not be replaced; of the class `error`.
     """
     with written_whole(Path(path).parent, error, force=force) as folder:
-        (folder / Path(path).name).write_text(text, encoding="utf-8")
+        data = content.encode() if isinstance(content, str) else content
+        (folder / Path(path).name).write_bytes(data)
 
 
 def _move(source: Path, target: Path, error: Callable[[str], TsobsError], *, force: bool) -> None:

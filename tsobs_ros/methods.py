@@ -19,6 +19,7 @@ from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.estimator import GAIN_MODES, TORQUE_RATE, Estimator, SupervisionOptions
 from tsobs_ros.estimation.events import STALE_AFTER
 from tsobs_ros.estimation.tracker import Tracker, require_steps
+from tsobs_ros.files import write_whole
 from tsobs_ros.paper.observer import (
     PAPER_WARNING,
     SYSTEM_WARNING,
@@ -270,7 +271,7 @@ def export_c(
     Raises:
         ModelError: The method cannot observe this model, or `max_steps` is not between 1 and a
             million.
-        OSError: The file cannot be written.
+        OutputError: The file cannot be written.
     """
     require_steps(max_steps)
     tracker = make_tracker(design, settings)
@@ -281,5 +282,5 @@ def export_c(
     room = native.exported_open(words)
     if sys.byteorder == "big":
         words = words.byteswap()
-    Path(output).write_bytes(words.tobytes())
+    write_whole(output, words.tobytes())
     return words.nbytes, 8 * room
