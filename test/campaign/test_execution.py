@@ -5,14 +5,17 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from threading import Event
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tsobs_ros.campaign import batches
 from tsobs_ros.campaign.batches import claimed, compute
 from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign
+from tsobs_ros.campaign.drawing import draw_group
 from tsobs_ros.campaign.folder import PART, run_campaign
 from tsobs_ros.campaign.rerun import rerun
 from tsobs_ros.campaign.summary import summarise
@@ -73,6 +76,28 @@ def test_neither_threads_nor_interruptions_change_a_bit(
     assert times == {path: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()}
     assert run_campaign(short.with_runs(30), folder)["run"].tolist() == list(range(30))
     assert files_of(folder) == expected
+
+
+def test_an_end_does_not_wait_for_the_runs_of_whole_parts(
+    short: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn, ended = list[int](), Event()
+
+    def draw(campaign: Campaign, begin: int, end: int) -> Any:
+        drawn.append(begin)
+        assert begin <= PART or ended.wait(60.0)
+        return draw_group(campaign, begin, end)
+
+    def end(runs: int) -> None:
+        if runs:
+            ended.set()
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(batches, "draw_group", draw)
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(short, tmp_path, threads=1, progress=end)
+    assert drawn[-1] < 1.5 * PART
+    assert len(files_of(tmp_path)) == 1
 
 
 def test_the_certified_bound_holds_if_its_premises_do(write: Callable[..., Path]) -> None:

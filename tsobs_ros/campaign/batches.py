@@ -4,7 +4,8 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import CancelledError
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -132,18 +133,23 @@ def claimed(run: RecordedRun, rows: Rows) -> dict[str, int | float]:
     return found
 
 
-def compute(campaign: Campaign, begin: int, end: int) -> Columns:
+def compute(
+    campaign: Campaign, begin: int, end: int, stopped: Callable[[], bool] = lambda: False
+) -> Columns:
     """Draw, simulate, observe and score the runs from `begin` up to, but not including, `end`.
 
     A row depends only on the campaign and the run's number, not on runs computed together with it.
 
     Raises:
+        CancelledError: `stopped` became true before the end.
         TsobsError: A scenario does not fit the design.
     """
     design, request = campaign.design, campaign.design.arm_request
     learnt = campaign.settings.learnt(design)
     rows: list[dict[str, Any]] = []
     while begin + len(rows) < end:
+        if stopped():
+            raise CancelledError
         group = draw_group(campaign, begin + len(rows), end)
         scenario = group[0].scenario
         truth = Plant(scenario, [one.seed for one in group]).run(scenario.sample_count)

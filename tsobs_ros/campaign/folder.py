@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pyarrow as pa
@@ -61,15 +62,16 @@ def run_campaign(
     paths = {part: folder / f"{part[0]:08d}.parquet" for part in parts}
     missing = [part for part in parts if _rows(campaign, paths[part]) < part[1] - part[0]]
     progress(runs - sum(end - begin for begin, end in missing))
-    pool = ThreadPoolExecutor(threads or os.cpu_count())
+    pool, stop = ThreadPoolExecutor(threads or os.cpu_count()), Event()
     try:
-        done = pool.map(lambda part: compute(campaign, *part), missing)
+        done = pool.map(lambda part: compute(campaign, part[0], part[1], stop.is_set), missing)
         for part, columns in zip(missing, done, strict=True):
             table = pa.table(columns).replace_schema_metadata({_IDENTITY: campaign.identity})
             with written_whole(folder, CampaignError, force=True) as made:
                 parquet.write_table(table, made / paths[part].name)
             progress(part[1] - part[0])
     finally:
+        stop.set()  # parts that run would take long to their ends
         pool.shutdown(cancel_futures=True)
     try:
         table = pa.concat_tables(map(parquet.read_table, paths.values())).slice(0, runs)
