@@ -20,6 +20,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from difflib import get_close_matches
 from numbers import Integral, Real
 from operator import attrgetter
 from typing import Any, TypeVar
@@ -224,6 +225,12 @@ def _changed(record: Any, values: Mapping[str, Any], prefix: str = "") -> Any:
     except ModelError as error:
         where = f"parameters '{prefix}*': " if prefix else ""
         raise ParameterError(f"{where}{error}") from error
+
+
+def about_unknown(name: str, known: Iterable[str]) -> str:
+    """Return the warning about a parameter that is not one of the known ones."""
+    near = get_close_matches(name, known, 1)
+    return f"ignored unknown parameter '{name}'" + "".join(f"; did you mean '{n}'?" for n in near)
 
 
 def in_yaml(value: Any) -> str:

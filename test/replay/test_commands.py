@@ -132,15 +132,19 @@ def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
     file = tmp_path / "observer.yaml"
     file.write_text(
         "observer:\n  ros__parameters:\n    gain_mode: riccati\n"
-        "    rate: 50.0\n    supervision: {gate: 5.0}\n    joints: [elbow]\n",
+        "    rate: 50.0\n    supervision: {gate: 5.0}\n    joints: [elbow]\n"
+        "    settle_tme: 1.0\n    use_sim_time: true\n",
         encoding="utf-8",
     )
     again = ["estimate", f"{bag}_1", "--json", "--params-file"]
     capsys.readouterr()
 
     assert main([*again, str(file), "--output", f"{bag}_2"]) == 0
-    live = json.loads(capsys.readouterr().out)["live"]
+    out, err = capsys.readouterr()
+    live = json.loads(out)["live"]
     assert live["reproduced"] == live["recorded"] == 300
+    said = "ignored unknown parameter 'settle_tme'; did you mean 'settle_time'?"
+    assert err == f"warning: {file}: {said}\n"
     other = ["--param", "supervision.gate=1"]
     assert main([*again, str(file), *other, "--output", f"{bag}_3"]) == 0
     live = json.loads(capsys.readouterr().out)["live"]
@@ -148,18 +152,20 @@ def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameter", "said"),
+    ("option", "said"),
     [
-        ("rate=3", "parameter 'rate': expected one of method, theta"),
-        ("adapt=maybe", "parameter 'adapt': expected true or false, got 'maybe'"),
-        ("settle_time=long", "parameter 'settle_time': expected a finite number"),
-        ("gain_mode=best", "parameter 'gain_mode': expected one of: certified, riccati"),
-        ("supervision.stuck_samples=1.5", "parameter 'supervision.stuck_samples'"),
-        ("supervision.gate=-1", "gate"),
+        ("--joints elbow elbow", "joints: expected names, each once, got ['elbow', 'elbow']"),
+        ("--columns time=t", "--columns and --units are for CSV logs"),
+        ("--param rate=3", "parameter 'rate': expected one of method, theta"),
+        ("--param adapt=maybe", "parameter 'adapt': expected true or false, got 'maybe'"),
+        ("--param settle_time=long", "parameter 'settle_time': expected a finite number"),
+        ("--param gain_mode=best", "parameter 'gain_mode': expected one of: certified, riccati"),
+        ("--param supervision.stuck_samples=1.5", "parameter 'supervision.stuck_samples'"),
+        ("--param supervision.gate=-1", "gate"),
     ],
 )
-def test_a_wrong_parameter_is_named(bag: Path, capsys, parameter, said) -> None:
-    assert main(["compare", str(bag), "--param", parameter]) == 1
+def test_a_wrong_option_is_named(bag: Path, capsys, option, said) -> None:
+    assert main(["compare", str(bag), *option.split()]) == 1
     assert said in capsys.readouterr().err
 
 

@@ -15,6 +15,7 @@ from tsobs_ros.cli.common import (
     add_log_options,
     joined,
     keywords,
+    note,
     pairs,
     positive,
     progress,
@@ -167,11 +168,16 @@ def estimate(
 def given_parameters(options: argparse.Namespace) -> dict[str, Any]:
     """Return the given parameters; those of the command line override those of the file."""
     from tsobs_ros.methods import ObserverSettings, read_parameters
-    from tsobs_ros.settings import settings_of
+    from tsobs_ros.resources import config_path
+    from tsobs_ros.settings import about_unknown, settings_of
 
     found = {} if options.params_file is None else read_parameters(options.params_file)
     known = settings_of(ObserverSettings)
     # The other ones only decide when and where estimates are published.
+    of_node = {*read_parameters(config_path("observer.yaml")), "use_sim_time"} if found else found
+    for name in found:
+        if name not in of_node and not name.startswith("qos_overrides."):
+            note(printable(f"warning: {options.params_file}: {about_unknown(name, of_node)}"))
     in_file = {name: value for name, value in found.items() if name in known}
     return {**in_file, **joined(options.param)}
 

@@ -12,7 +12,6 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from typing import Any, Self, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -21,7 +20,15 @@ from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import ParameterError, printable
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.settings import Setting, changed, in_yaml, setting, settings_of, values_of
+from tsobs_ros.settings import (
+    Setting,
+    about_unknown,
+    changed,
+    in_yaml,
+    setting,
+    settings_of,
+    values_of,
+)
 
 P = TypeVar("P")
 T = TypeVar("T")
@@ -147,10 +154,7 @@ def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
         node.set_descriptor(name, _descriptor(entry))
     for name in given:
         if not (node.has_parameter(name) or name.startswith("qos_overrides.")):
-            near = get_close_matches(name, known, 1)
-            text = f"ignored unknown parameter '{name}'"
-            text += f"; did you mean '{near[0]}'?" if near else ""
-            node.get_logger().warning(printable(text))
+            node.get_logger().warning(printable(about_unknown(name, known)))
     return built
 
 

@@ -31,7 +31,7 @@ from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import record_text
 from tsobs_ros.design.record import Design
-from tsobs_ros.errors import BagReadError, LogError, ModelError
+from tsobs_ros.errors import BagReadError, LogError, ModelError, ParameterError
 from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate, rate_of
 from tsobs_ros.estimation.records import HEALTH, USED, RejectReason
@@ -401,12 +401,17 @@ def open_source(
     Raises:
         BagReadError: The bag cannot be read, or lacks the measurements.
         LogError: The log cannot be read.
+        ParameterError: A joint is named twice, or columns or units are named for a bag.
     """
     path, zero = Path(path), assume_zero_torque
+    if len(set(joints)) < len(joints):
+        raise ParameterError(f"joints: expected names, each once, got {list(joints)}")
     if is_log(path):
         return LogSource(
             path, columns, units, joints, assume_zero_torque=bool(zero), held_out=held_out
         )
+    if columns or units:
+        raise ParameterError(f"{path}: --columns and --units are for CSV logs, and this is a bag")
     return BagSource(path, topic, joints, assume_zero_torque=zero, held_out=held_out)
 
 
