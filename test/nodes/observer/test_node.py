@@ -123,14 +123,16 @@ def test_a_silenced_observer_discards_what_comes_and_then_restarts(
         assert values(stage.statuses()["observer: state"])["resets"] == "1"
 
 
-def test_the_joint_states_of_a_robot_are_measurements(ros: Any) -> None:
+def test_the_joint_states_of_a_robot_are_measurements(
+    ros: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
     """As ros2_control's broadcaster publishes them: all in one message, in any order, reliably.
 
-    The effort of a joint that has none is NaN.
+    The effort of joints that have none is NaN, which the log says of each.
     """
     stage, arm, events = Stage(ros, "/joint_states", 10), Arm(BEGIN, "elbow"), []
     assert f"-r joint_measurements:={stage.topic} -p joints:=[elbow]" in README
-    observer = stage.add(joints=["elbow", "wrist"])
+    observer = stage.add(joints=["elbow", "wrist", "shoulder"])
     stage.step(BEGIN - PERIOD)
     for event in good(arm, BEGIN, 0.5):
         (angle,), (torque,) = event.message.position, event.message.effort
@@ -140,8 +142,11 @@ def test_the_joint_states_of_a_robot_are_measurements(ros: Any) -> None:
         events.append(event)
     stage.play(events)
 
-    (elbow, wrist), unknown = observer.joints, RejectReason.UNKNOWN_INPUT
+    (elbow, wrist, _), unknown = observer.joints, RejectReason.UNKNOWN_INPUT
     assert (elbow.tracker.used, wrist.tracker.rejected) == (100, {unknown: 100})
+    log = capfd.readouterr().err
+    for joint in ("wrist", "shoulder"):
+        assert f"sample of {joint} rejected: unknown input" in log
     # Without a torque the bound is larger, and the angle is used all the same.
     bound = stage.watcher.of("error_bound")[-1].message
     width = dict(zip(bound.name, bound.position, strict=True))

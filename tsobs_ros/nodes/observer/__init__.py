@@ -173,7 +173,7 @@ class Observer(ManagedNode[ObserverParameters]):
             innovations.append(joint.offer(batch.stamps, y, u, codes, now))
             for place in np.flatnonzero(codes > 0).tolist() if codes.any() else ():
                 reason = RejectReason(int(codes[place]))
-                if self.is_due(reason):
+                if self.is_due((joint.name, reason)):
                     found = self._reader.describe(messages[batch.order[place]], joint.name)
                     text = f"sample of {joint.name} rejected: {reason.text} ({found}, clock "
                     self.log(Level.WARN, f"{text}{now * 1e-9:.3f}): {reason.remedy}")
