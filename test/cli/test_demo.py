@@ -6,6 +6,7 @@ import json
 import re
 import signal
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -129,19 +130,41 @@ def check_layouts(reader: BagReader) -> None:
 
 
 def test_a_node_that_fails_fails_the_demo_with_its_reason(
-    domain_id: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    domain_id: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     output = tmp_path / "demo"
     command = ["demo", "--domain-id", str(domain_id), "--output", str(output)]
-    assert main([*command, "--design", str(tmp_path / "no.yaml")]) == 1
+    monkeypatch.setattr("tsobs_ros.cli.demo.ADAPTIVE_TOPICS", ("/b ad",))
+    assert main(command) == 1
     err = capfd.readouterr().err
     (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
-    assert "observer ended with exit code 1" in line
-    assert "no.yaml: cannot read it: No such file or directory" in line
+    assert "recorder ended with exit code 1" in line
+    assert "parameter 'topics': expected a ROS name, got '/b ad'" in line
     assert running(output) == []
     # Another one does not write into its folder.
     assert main(["demo", "--output", str(output)]) == 1
     assert f"error: {output}: exists already" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--domain-id", "233", "--domain-id: expected 0 to 232, got 233"),
+        ("--bias", "nan", "amplitude': expected a finite number"),
+        ("--seed", "-1", "'seed': expected an integer of at least 0, got -1"),
+        ("--design", "no.yaml", "no.yaml: cannot read it: No such file or directory"),
+    ],
+)
+def test_what_no_node_would_take_makes_no_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, value: str, said: str
+) -> None:
+    with suppress(SystemExit):
+        assert main(["demo", "--output", str(tmp_path / "demo"), option, value]) == 1
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_signals_end_the_nodes_and_close_the_bag(demo: Demo, tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ ADAPTIVE_TOPICS = tuple(f"/observer/{name}" for name in PARAMETER_TOPICS)
 _START_TIMEOUT = 60.0  # usually a second or two, longer on a busy machine
 _STOP_TIMEOUT = 15.0
 _POLL = 0.05
+_MAX_DOMAIN = 232  # the ports of a higher one would be too high
 
 
 def add_parser(commands: Commands) -> None:
@@ -64,20 +65,36 @@ def run(options: argparse.Namespace) -> int:
     """Run the nodes, then report on their bag."""
     from tqdm import tqdm
 
+    from tsobs_ros.design.file import load_design
+    from tsobs_ros.nodes.plant_simulator import Parameters
     from tsobs_ros.report import figures, page  # noqa: F401  # fail now, not after the run
     from tsobs_ros.report.bag_report import make_bag_report
+    from tsobs_ros.settings import changed
 
     output = options.output or Path("demo") / datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
     if options.domain_id is None:
         # Domains 1 to 101 do not use the ports of outgoing connections.
         options.domain_id = 1 + os.getpid() % 101
+    if not 0 <= options.domain_id <= _MAX_DOMAIN:
+        options.parser.error(f"--domain-id: expected 0 to {_MAX_DOMAIN}, got {options.domain_id}")
+    plant = {
+        "seed": options.seed,
+        "duration": options.duration,
+        "wait_for_subscribers": 2,
+        "disturbance.kind": "bias_step" if options.bias else "none",
+        "disturbance.bias_step.amplitude": options.bias,
+        "disturbance.bias_step.start": options.bias_at,
+    }
+    # Refuse what the nodes would refuse, before there is a folder.
+    changed(Parameters(), plant)
+    load_design(options.design)
     note(
         f"plant, observer, visualizer and recorder on ROS_DOMAIN_ID={options.domain_id} for "
         f"{options.duration:g} s"
     )
     look = "{l_bar}{bar}| {n:.1f}/{total:.1f} s"
     with tqdm(total=options.duration, unit="s", bar_format=look) as bar:
-        bag = _record(output, options, bar)
+        bag = _record(output, options, plant, bar)
     notes = {"seed of the simulator": str(options.seed)}
     show(*make_bag_report(bag, output, notes=notes), options.json)
     if not options.json:
@@ -85,7 +102,9 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
+def _record(
+    output: Path, options: argparse.Namespace, simulated: Mapping[str, object], bar: Any
+) -> Path:
     """Run the nodes for the demo's duration, in a new folder, and return the closed bag."""
     try:
         output.mkdir(parents=True)
@@ -109,17 +128,7 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
         nodes = [recorder, observer, start("visualizer", {})]
         own = [each for each in RECORDED_TOPICS if "/observer/" in each or each == MARKERS]
         _wait(lambda: all(f"{topic} [" in recorder.printed() for topic in own), nodes)
-        plant = start(
-            "plant_simulator",
-            {
-                "seed": options.seed,
-                "duration": options.duration,
-                "wait_for_subscribers": 2,
-                "disturbance.kind": "bias_step" if options.bias else "none",
-                "disturbance.bias_step.amplitude": options.bias,
-                "disturbance.bias_step.start": options.bias_at,
-            },
-        )
+        plant = start("plant_simulator", simulated)
         _wait(lambda: "started" in plant.printed(), [*nodes, plant])
         started = time.monotonic()
 
