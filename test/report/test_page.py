@@ -124,6 +124,15 @@ def test_a_page_fits_a_phone_zooms_switches_and_prints(tab, page, wait_for) -> N
     assert set(tab.evaluate(widths)) == {690}
 
 
+@pytest.mark.filterwarnings("error")
+def test_any_number_can_be_drawn(simulated, tmp_path) -> None:
+    measured = simulated.parts["measurements"]
+    huge = measured._replace(values=measured.values * 1e300)
+    run = replace(simulated, parts={**simulated.parts, "measurements": huge})
+    write_html(picture(run, measure(run)), tmp_path / "run.html")
+    assert (tmp_path / "run.html").stat().st_size > 0
+
+
 def test_diagnostics_come_to_faults_and_rejects(diagnosed) -> None:
     (fault,) = diagnosed.faults
     assert (fault.kind, fault.level, fault.unit) == ("bias", Level.WARN, "rad")

@@ -203,7 +203,8 @@ def _switch(name: str, colour: str) -> dict[str, str]:
 
 def _encoded(values: Array) -> dict[str, str]:
     """Return numbers as plotly.js reads them; single precision is finer than any screen."""
-    data = np.asarray(values, dtype="<f4").tobytes()
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is left out
+        data = np.asarray(values, dtype="<f4").tobytes()
     return {"dtype": "f4", "bdata": base64.b64encode(data).decode("ascii")}
 
 
