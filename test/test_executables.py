@@ -47,7 +47,7 @@ def test_two_signals_during_imports_end_a_command_with_code_1(
 
 
 @pytest.mark.parametrize("name", ["tsobs", "observer"])
-def test_streams_that_are_full_or_closed_are_errors(name: str) -> None:
+def test_streams_that_are_full_or_closed_are_errors_and_others_take_any_text(name: str) -> None:
     if name == "tsobs":
         with Path("/dev/full").open("w") as full:
             code, _, err = ended([*COMMAND, name, "verify"], stdout=full)
@@ -57,6 +57,9 @@ def test_streams_that_are_full_or_closed_are_errors(name: str) -> None:
         code, _, err = ended([*COMMAND, name, "verify", "--json"], stdout=writer)
         os.close(writer)
         assert (code, "Traceback" in err) == (1, False)
+        ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
+        code, out, err = ended([*COMMAND, name, "estimate", "--help"], env=ascii_only)
+        assert (code, err, r"\u2026/joint_measurements" in out) == (0, "", True)
     arguments = "verify nowhere.yaml" if name == "tsobs" else "--ros-args -p design:=nowhere.yaml"
     # Without a stderr, errors do not come to stdout.
     assert ended(["sh", "-c", f"exec {' '.join(COMMAND)} {name} {arguments} 2>&-"])[:2] == (1, "")

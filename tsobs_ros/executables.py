@@ -21,6 +21,7 @@ if _PROCESS in _NAMES:
 
 from functools import partial
 from importlib import import_module
+from io import TextIOWrapper
 
 from tsobs_ros.errors import complain_of_missing
 
@@ -53,6 +54,8 @@ def tsobs() -> int:
     """Run the command `tsobs`, which a signal ends with exit code 1; return the exit code."""
     end_at_once(1)
     _keep_standard_streams()
+    if isinstance(sys.stdout, TextIOWrapper):  # which may not be in UTF-8
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         exit_code: int = import_module("tsobs_ros.cli.main").main()
     except ModuleNotFoundError as error:  # of a module that every command imports
