@@ -217,6 +217,8 @@ def check_parameters(manager: Any, chance: random.Random, capfd: Any) -> None:
     assert not refused.successful
     assert "77 is not a valid" in refused.reason
     assert "cannot answer SetParameters_Request: 77 is not a valid" in capfd.readouterr().err
+    (refused,) = ask([ParameterMessage(name="nobody's", value=good.value)])
+    assert refused.reason.endswith(": nobody's")
     for name in [*manager.node.list_parameters([], 0).names, "", "nobody's", "x\x1b[2Jy"]:
         value = ParameterValue(
             type=chance.choice([*range(12), 255]),

@@ -90,7 +90,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
             service.callback = partial(self._answer, service.callback)
         try:
             self.parameters = declare(self, schema, self._overrides or {})
-            self.add_pre_set_parameters_callback(partial(converted, schema))
+            self.add_pre_set_parameters_callback(partial(converted, self, schema))
             self.add_on_set_parameters_callback(self._check_set)
             self.add_post_set_parameters_callback(self._take_set)
             self.start()

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Self, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -158,10 +159,12 @@ def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
     return built
 
 
-def converted(make: type, proposal: Sequence[Parameter]) -> list[Parameter]:
+def converted(node: Node, make: type, proposal: Sequence[Parameter]) -> list[Parameter]:
     """Return values in the parameters' types if possible; rclpy refuses the others."""
     found = []
     for each in proposal:
+        if not node.has_parameter(each.name):  # rclpy does not say which one
+            raise ParameterNotDeclaredException(each.name)
         entry = settings_of(make).get(each.name)
         value = None if entry is None or each.value is None else entry.accepted(each.value)
         found.append(each if value is None else Parameter(each.name, _type(entry), value))
