@@ -140,6 +140,8 @@ def test_another_rate_than_the_designs_is_told_once_and_when_it_is_over() -> Non
     ("concern", "changes", "text"),
     [
         ("certificate", {"basis": Basis.CONTRADICTED}, "the bound is void: the measurements"),
+        ("premise domain", {"in_domain": False}, "outside: the bound is not certified"),
+        ("premise domain", {"in_domain": False, "claimed": False}, "outside: the bound is void"),
         ("innovation", {"noise_scale": 1.8}, "the noise is 1.8 times the design's"),
         ("hypothesis", {"hypothesis": Hypothesis.FORCE}, "something pushes"),
     ],
@@ -161,7 +163,7 @@ def test_what_an_estimate_is_not_worth_is_a_warning_with_its_reason(
     assert {name for name, each in found.items() if each.level != before[name].level} == {concern}
     assert found[concern].level == Level.WARN
     assert found[concern].message.startswith(text)
-    if concern != "innovation":
+    if concern in ("certificate", "hypothesis"):
         assert found[concern].values["since"] == "for 3.9 s"
 
 

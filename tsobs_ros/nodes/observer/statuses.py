@@ -156,7 +156,8 @@ def _domain_status(joint: ObservedJoint) -> Status:
             values["link angle [rad]"] = f"{estimate.state[0]:.4f}"
             message = "inside the certificate's domain"
             if not estimate.in_domain:
-                level, message = Level.WARN, "outside: the bound is void"
+                fate = "not certified" if estimate.claimed else "void"
+                level, message = Level.WARN, f"outside: the bound is {fate}"
     return Status("premise domain", level, message, values)
 
 
