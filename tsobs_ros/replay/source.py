@@ -347,7 +347,7 @@ class BagSource:
         joints = dict(zip(self.joints, self.signals, strict=True))
         if not joints:
             raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
-        read, without_input = MeasurementReader(joints, self._assume_zero_torque), 0
+        read, without_input, mixed = MeasurementReader(joints, self._assume_zero_torque), 0, 0
         n, p = len(joints), max(len(own.outputs) for own in self.signals)
         m = max(len(own.inputs) for own in self.signals)
         numbers = [(name, np.int64) for name in ("stamps", "log_times", "checksums")]
@@ -366,6 +366,7 @@ class BagSource:
                 some.checksums[places] = [crc32(row) for row in data]
             lack = (batch.codes == MISSING).any(axis=0) & ~(batch.codes == USED).any(axis=0)
             without_input += int(lack.sum())
+            mixed += int((np.diff(raw.publish_times) < -_RESTART).sum())
             samples.add(some)
         self.samples = samples.read()
         if not self.count:
@@ -374,6 +375,11 @@ class BagSource:
         apart = self.samples.log_times - self.samples.stamps
         off = max((apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum())
         self.same_clock = bool(2 * off < self.count)  # decided by the median of the differences
+        if mixed > _RESTART_MESSAGES:
+            self.remarks += (
+                "warning: log times seem to have gone back with simulated time, so messages of "
+                "several runs are mixed: record again, or each run in a bag of its own",
+            )
         self.remarks += tuple(self._notes(without_input))
 
     def _require_outputs(self, there: Sequence[Sequence[bool]]) -> None:
