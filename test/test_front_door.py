@@ -188,9 +188,10 @@ def test_a_log_is_estimated_as_its_arrays_are(design: Design) -> None:
     ("shuffled", "time_unit", "angle_unit", "texts"),
     [
         (False, 1.0, 1.0, []),
-        (True, 1.0, 1.0, [r"time\[3\] is earlier than .* 0.5 s: .*; sort them by time"]),
+        (True, 1.0, 1.0, [r"time\[3\] is earlier than .* 0.5 s: .*; sort them by time", "too old"]),
         (False, 1e3, 1.0, ["at 0.2 Hz, the design is for 200 Hz: .*, or is the time in", ""]),
         (False, 1.0, 57.3, ["innovations are .* times as large"]),
+        (False, 1.0, 1e300, [r"100 % of the measurements were rejected \(most: gated\): .* rad"]),
     ],
 )
 def test_measurements_of_another_kind_cause_a_warning(

@@ -253,7 +253,7 @@ def estimate(
     Row k is the estimate at `time[k]` from the rows up to k. Measurements that are not finite,
     come twice, or are later than `settings.history` allows are rejected and counted; other late
     ones are put in their place. A `UserWarning` says, like `tsobs estimate`, if times go back too
-    far, or if the rate or the measurements do not fit the design.
+    far, if the rate or the measurements do not fit the design, or if many are rejected.
 
     Args:
         design: From `load_design` or `synthesise`, or its file.
@@ -295,7 +295,7 @@ def estimate(
             "them by time"
         )
     off, text = judge_rate(rate_of(stamps), request.rate)
-    health = health_of(np.column_stack([made.rows[name] for name in HEALTH]))
+    health = health_of(np.column_stack([made.rows[name] for name in HEALTH]), tracker)
     _warn(text if off else None, health and health.misfit)
     several, innovations = np.ndim(angle) == 2, made.outcomes.innovations
     return _estimates(tracker, times, made.rows, times, innovations, rejected, several)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from staging import by_topic, call, estimated_again, start, to_stamp
@@ -32,9 +33,10 @@ ARM = Arm(BEGIN)
 class Scene:
     """An observer in the hands of a test, and a recorder that misses nothing."""
 
-    def __init__(self, stage: Stage, output: Path) -> None:
+    def __init__(self, stage: Stage, output: Path, **parameters: Any) -> None:
         self.stage = stage
-        self._recorder = start(stage.ros, "recorder", output=str(output), topics=OBSERVED)
+        given = {"output": str(output), "topics": OBSERVED, **parameters}
+        self._recorder = start(stage.ros, "recorder", **given)
         stage.wait_until(lambda: stage.sensor.get_subscription_count() > 0, "the recorder")
         self.sent = Counter[str]()
         stage.step(BEGIN - PERIOD)
@@ -92,10 +94,16 @@ def agreed(run: Run) -> Any:
     return agreement
 
 
+@pytest.mark.parametrize("use_sim_time", [False, True])
 def test_what_an_observer_did_not_receive_is_left_out_and_all_the_rest_reproduced(
-    stage: Stage, manage: Callable[[Any], Any], design: Design, tmp_path: Path
+    stage: Stage,
+    manage: Callable[[Any], Any],
+    design: Design,
+    tmp_path: Path,
+    use_sim_time: bool,
 ) -> None:
-    scene = Scene(stage, tmp_path / "bag")
+    """Simulated time restarts in between, which the recorder may follow, or not."""
+    scene = Scene(stage, tmp_path / "bag", use_sim_time=use_sim_time)
     scene.play(20)
     scene.start()
     scene.play(40, outliers=3)

@@ -50,7 +50,7 @@ def test_a_log_without_a_number_is_no_success(tmp_path, capsys) -> None:
 
 
 def test_estimate_warns_as_the_node_does(arms, write_bag, capsys) -> None:
-    """Half the design's rate, and then messages without effort."""
+    """Half the design's rate, then messages without effort, then with angles far away."""
     slow = write_bag(arms.messages(200)[::2], "slow")
     encode = JointStateEncoder(["elbow"])
     silent = [
@@ -68,6 +68,15 @@ def test_estimate_warns_as_the_node_does(arms, write_bag, capsys) -> None:
     again = ["estimate", str(silent), "--output", f"{silent}_0", "--param"]
     assert main([*again, "assume_zero_torque=true"]) == 0
     assert "effort" not in capsys.readouterr().out
+
+    far = [
+        ("/joint_measurements", encode(START + k * PERIOD, [1e300], (), [0.0]), START + k * PERIOD)
+        for k in range(100)
+    ]
+    assert main(["estimate", str(write_bag(far, "far"))]) == 0
+    out = capsys.readouterr().out
+    assert out.count("warning: 100 % of the measurements were rejected (most: gated): is") == 1
+    assert "as designed" not in out
 
 
 def test_estimate_lists_what_happened_to_the_estimates(arms, write_bag, capsys) -> None:

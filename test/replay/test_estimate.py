@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tsobs_ros.bag import BagReader
-from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
+from tsobs_ros.bag import BagReader, BagWriter
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder, JointStateEncoder
 from tsobs_ros.bag.verification import verify
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import BagReadError
@@ -137,6 +137,20 @@ def test_without_a_tick_log_estimates_are_at_the_measurements_and_a_note_says_so
     assert run.agreement() is None
     assert run.window.ticks.stamps.tolist() == [START + k * PERIOD for k in range(100)]
     assert [one for one in source.remarks if "no tick log" in one]
+
+
+def test_runs_that_log_times_mix_are_warned_about(arms, design, tmp_path) -> None:
+    """Of a recorder that let them go back with simulated time."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/joint_measurements", JOINT_STATE)
+        for again in (0, 10_000_000_000):
+            for topic, data, time in arms.messages(50):
+                writer.write(topic, data, time, time + again)
+
+    source = BagSource(tmp_path / "bag")
+    source.observe([design.request])
+
+    assert [one for one in source.remarks if "several runs are mixed" in one]
 
 
 def test_what_cannot_be_used_is_counted(arms, write_bag, estimate) -> None:

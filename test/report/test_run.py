@@ -96,14 +96,19 @@ def test_joints_efforts_and_messages_that_are_missing_leave_gaps(
     np.testing.assert_array_equal(link[11:], short.parts["state_bound"].values[11:, 0])
 
 
-def test_of_a_looped_bag_the_longest_pass_is_read(short, messages_of, write_bag) -> None:
-    """Three passes over the same two seconds of stamps, the second one being the longest."""
+@pytest.mark.parametrize("leap", [0, 10**5 * SECOND])
+def test_of_a_looped_bag_the_longest_pass_is_read(short, messages_of, write_bag, leap) -> None:
+    """Three passes over two seconds of stamps, the second one being the longest.
+
+    The third may be on another clock.
+    """
     parts = ((150, 0), (200, 10 * SECOND), (120, 20 * SECOND))
     topics, logs = {}, {}
     for name, rows in messages_of(short).items():
         # Twice as slow, so that a pass spans more than the second that late messages may have.
         slow = [r._replace(stamp=2 * r.stamp - rows[0].stamp) for r in rows]
-        topics[name] = [r for count, _ in parts for r in slow[:count]]
+        topics[name] = [r for count, _ in parts[:2] for r in slow[:count]]
+        topics[name] += [r._replace(stamp=r.stamp + leap) for r in slow[: parts[2][0]]]
         logs[name] = [r.stamp + lag for count, lag in parts for r in slow[:count]]
 
     run = read_run(write_bag(topics, logs))

@@ -355,7 +355,8 @@ class Run:
 
     def health(self) -> dict[str, Health]:
         """Return the health of each joint that has estimates."""
-        found = ((joint, health_of(own.values)) for joint, (own, _) in self._healths.items())
+        each = zip(self._healths.items(), self.trackers, strict=False)
+        found = ((joint, health_of(own.values, tracker)) for (joint, (own, _)), tracker in each)
         return {joint: one for joint, one in found if one is not None}
 
     @cached_property

@@ -11,7 +11,8 @@ import numpy as np
 
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.estimation.events import COAST_AFTER, NOISY, STALE_AFTER, Event, EventLog
-from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
+from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning, RejectReason
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.replay.places import CONDITIONS
 from tsobs_ros.series import NANOSECONDS, Series
 
@@ -27,6 +28,8 @@ _OF_SENSOR = (Hypothesis.LOUD, Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT, Hypo
 # Share of wrong bases in simulations: at most .05 if the design fits, at least .4 with another arm,
 # or a torque of another sign or ten times as large. Angles in degrees have a noise scale of 47.
 _OFTEN, _OTHER_UNIT = 0.3, 20.0
+# Rejects that may be meant: of an encoder slower than the torque, or of inputs without a sensor.
+_MEANT = (RejectReason.NON_FINITE, RejectReason.UNKNOWN_INPUT)
 
 _MAX_EVENTS, _MAX_LINES = 200, 20
 
@@ -79,6 +82,7 @@ class Health(NamedTuple):
         hypotheses: Shares of the estimates by the hypothesis on arm and sensor, without zeros.
         learning: State of the learning at the end.
         hypothesis: Hypothesis on arm and sensor at the end.
+        rejects: If many measurements were rejected, a sentence with their share, reason and remedy.
     """
 
     noise_scale: float
@@ -88,6 +92,7 @@ class Health(NamedTuple):
     hypotheses: dict[Hypothesis, float]
     learning: Learning
     hypothesis: Hypothesis
+    rejects: str | None = None
 
     @property
     def proved(self) -> float:
@@ -101,6 +106,8 @@ class Health(NamedTuple):
         often = f"for {100.0 * wrong:.0f} % of the time the measurements do not fit the design"
         if wrong >= _OFTEN and self.noise_scale >= _OTHER_UNIT:
             return f"{often}: the angles seem to be in another unit than rad, or of another joint"
+        if self.rejects:
+            return self.rejects
         if self.noise_scale >= NOISY:
             return (
                 f"innovations are {self.noise_scale:.1f} times as large as the design expects, as "
@@ -134,24 +141,41 @@ class Health(NamedTuple):
 
     def lines(self) -> tuple[str, ...]:
         """Return the summary as lines for a terminal."""
-        at_end = [self.learning.judged[1]]
-        if self.hypothesis or not self.misfit:  # else it would deny the misfit
+        misfit, at_end = self.misfit, [self.learning.judged[1]]
+        if self.hypothesis or not misfit:  # else it would deny the misfit, as `taken for` would
             at_end.append(self.hypothesis.judged[1])
-        return (
+        lines = (
             f"noise {self.noise_scale:.2f} times the design's, at most {self.max_noise_scale:.2f}",
             f"bounds {_shares(self.bases)}; claimed to hold {100.0 * self.claimed:.3g} %",
-            f"taken for {_shares(self.hypotheses)}",
+            "" if misfit and not any(self.hypotheses) else f"taken for {_shares(self.hypotheses)}",
             f"at the end {'; '.join(at_end)}",
-            *([f"warning: {self.misfit}"] if self.misfit else []),
+            misfit and f"warning: {misfit}",
         )
+        return tuple(filter(None, lines))
 
 
 def _shares(parts: Mapping[Any, float]) -> str:
     return ", ".join(f"{100.0 * share:.3g} % {one.words}" for one, share in parts.items())
 
 
-def health_of(conditions: Array) -> Health | None:
-    """Return the health from rows of `CONDITIONS`, NaN without an estimate; None if all are NaN."""
+def _rejects(tracker: Tracker) -> str | None:
+    """Return the sentence on rejects if they are many."""
+    rejected = tracker.rejected
+    total = tracker.used + rejected.total()
+    for reason in _MEANT:
+        del rejected[reason]
+    if (many := rejected.total()) <= _OFTEN * total:
+        return None
+    reason = max(rejected, key=rejected.__getitem__)
+    share = f"{100.0 * many / total:.0f} % of the measurements were rejected"
+    return f"{share} (most: {reason.text}): {reason.remedy}"
+
+
+def health_of(conditions: Array, tracker: Tracker | None = None) -> Health | None:
+    """Return the health from rows of `CONDITIONS`, NaN without an estimate; None if all are NaN.
+
+    The tracker is the one that made them, if it is known.
+    """
     known = conditions[~np.isnan(conditions[:, 0])]
     if not len(known):
         return None
@@ -169,6 +193,7 @@ def health_of(conditions: Array) -> Health | None:
         shares(Hypothesis, HYPOTHESIS),
         last.learning,
         last.hypothesis,
+        None if tracker is None else _rejects(tracker),
     )
 
 

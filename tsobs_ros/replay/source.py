@@ -35,7 +35,10 @@ UNNAMED_SYSTEM = "system"
 _OBSERVER = "/observer"
 # Stamps that go back this far are not just late: time restarted (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
-# This many messages in a row must lie back, because one straggler is no restart.
+# No run pauses for a day: stamps that leap ahead so far are of another clock, as of the system's
+# after a simulation's, or of another run.
+_OTHER_CLOCK = 86_400 * NANOSECONDS
+# This many messages in a row must lie there, because one straggler is no restart.
 _RESTART_MESSAGES = 10
 _SAME_CLOCK = NANOSECONDS
 _FIRST_MESSAGES = 1000
@@ -50,17 +53,19 @@ Records: TypeAlias = Any
 def passes(stamps: Stamps) -> list[tuple[int, int]]:
     """Return the begin and end of each pass of time, from stamps [ns] in order of arrival.
 
-    A new pass begins if stamps go back by more than a second, and stay back.
+    A new pass begins if stamps go back by more than a second, or ahead by more than a day, and stay
+    there.
     """
-    begins = [0]
-    # Stamps hardly ever go back.
-    known = stamps.tolist() if (np.diff(stamps) < -_RESTART).any() else []
+    begins, steps = [0], np.diff(stamps)
+    # Stamps hardly ever do so.
+    known = stamps.tolist() if ((steps < -_RESTART) | (steps > _OTHER_CLOCK)).any() else []
     highest = 0
     for place, stamp in enumerate(known):
-        floor = highest - _RESTART
-        if 0 < stamp < floor and max(known[place : place + _RESTART_MESSAGES]) < floor:
-            begins.append(place)
-            highest = stamp
+        if 0 < stamp < highest - _RESTART or 0 < highest < stamp - _OTHER_CLOCK:
+            near = [one - highest for one in known[place : place + _RESTART_MESSAGES] if one]
+            if max(near) < -_RESTART or min(near) > _OTHER_CLOCK:
+                begins.append(place)
+                highest = stamp
         highest = max(highest, stamp)
     return list(pairwise([*begins, len(stamps)]))
 
@@ -347,7 +352,7 @@ class BagSource:
         joints = dict(zip(self.joints, self.signals, strict=True))
         if not joints:
             raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
-        read, without_input = MeasurementReader(joints, self._assume_zero_torque), 0
+        read, without_input, mixed = MeasurementReader(joints, self._assume_zero_torque), 0, 0
         n, p = len(joints), max(len(own.outputs) for own in self.signals)
         m = max(len(own.inputs) for own in self.signals)
         numbers = [(name, np.int64) for name in ("stamps", "log_times", "checksums")]
@@ -366,6 +371,7 @@ class BagSource:
                 some.checksums[places] = [crc32(row) for row in data]
             lack = (batch.codes == MISSING).any(axis=0) & ~(batch.codes == USED).any(axis=0)
             without_input += int(lack.sum())
+            mixed += int((np.diff(raw.publish_times) < -_RESTART).sum())
             samples.add(some)
         self.samples = samples.read()
         if not self.count:
@@ -374,6 +380,11 @@ class BagSource:
         apart = self.samples.log_times - self.samples.stamps
         off = max((apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum())
         self.same_clock = bool(2 * off < self.count)  # decided by the median of the differences
+        if mixed > _RESTART_MESSAGES:
+            self.remarks += (
+                "warning: log times seem to have gone back with simulated time, so messages of "
+                "several runs are mixed: record again, or each run in a bag of its own",
+            )
         self.remarks += tuple(self._notes(without_input))
 
     def _require_outputs(self, there: Sequence[Sequence[bool]]) -> None:

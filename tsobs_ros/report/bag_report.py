@@ -86,7 +86,8 @@ def make_bag_report(
     shown = picture(run, metrics, expected, diagnosed=diagnosed, rival=rival and rival[2])
     until = int(run.part("measurements").stamps.max())
     summary = summarise(metrics, health, diagnosed, shown.timing, events, until)
-    remarks = [*source.ran.doubt(given), *source.ran.remarks, *_limits(run, metrics, diagnosed)]
+    remarks = [one for one in source.remarks if one.startswith("warning: ")]
+    remarks += [*source.ran.doubt(given), *source.ran.remarks, *_limits(run, metrics, diagnosed)]
     cells = metrics_cells(metrics, rival and rival[1])
     note = f"Errors over the {metrics.settled_time:.1f} s that count as settled."
     note += f" {about_ekfs([rival[0]])}." if rival else ""

@@ -64,6 +64,8 @@ class Recorder(ManagedNode[RecorderParameters]):
         )
         self.at_cleanup(self._close_recording)
         self._paused = self._failed = False
+        # The last log time under simulated time, and how far it is ahead of the clock [ns].
+        self._latest = self._ahead = 0
         acts = {"pause": partial(self._pause, True), "resume": partial(self._pause, False)}
         self.offer_triggers({**acts, "split_bagfile": self._split})
         self.offer_diagnostics(str(path), self._statuses)
@@ -168,17 +170,29 @@ class Recorder(ManagedNode[RecorderParameters]):
         now, is_simulated = clock.now().nanoseconds, clock.ros_time_is_active
         if now == 0:
             return  # no /clock yet: let messages wait rather than stamp them with 1970
+        log_time = self._carried_on(now) if is_simulated else 0
         limit, recorded = self.parameters.queue_depth, self.finder.recorded.values()
         batch = [message for topic in recorded for message in topic.drain(limit)]
         # Topics are drained one by one, but an unfinished file is read in the order of writing.
         batch.sort(key=attrgetter("log_time_ns"))
         for message in batch:
             if is_simulated:
-                message = message._replace(log_time_ns=now)
+                message = message._replace(log_time_ns=log_time)
             if is_recording or message.latched:
                 self.recording.record(message)
             else:
                 self.recording.discarded += 1
+
+    def _carried_on(self, now: int) -> int:
+        """Return the log time at a simulated time; it never goes back, as readers sort by it."""
+        if now >= self._latest:
+            self._ahead = 0
+        elif (back := self._latest - self._ahead - now) > 0:
+            self._ahead += back
+            text = f"the clock went back by {back * 1e-9:.3f} s: log times carry on from the last"
+            self.log(Level.WARN, text)
+        self._latest = now + self._ahead
+        return self._latest
 
     def _flush(self) -> None:
         self.recording.flush()
