@@ -126,6 +126,21 @@ def test_certified_uncertainty_covers_its_box_at_a_price(known: Design) -> None:
     assert "stiffness +0.05" in design.certificate.inequalities[-1].where
 
 
+@pytest.mark.parametrize("rate", [1.0 / 60.0, 20.0])
+def test_a_slow_system_has_the_design_of_a_fast_one(known: Design, rate: float) -> None:
+    """The same numbers in another unit of time, and a rate far above what the system needs."""
+    slower, fast = 2400.0, known.request
+    model = replace(fast.model, A=fast.model.A / slower, B=fast.model.B / slower)
+    density = fast.channels[0].terms[0].get("density", 0.0) / slower
+    terms = [DisturbanceTerm("bias", {"density": density})], CLEAN
+    noise = np.asarray(fast.process_noise) / slower
+    design = synthesise(blended(model=model, process_noise=noise, disturbance=terms, rate=rate))
+    assert design.certificate.holds
+    ratio = design.bound_std / known.bound_std
+    assert (ratio < 1.001).all()
+    assert rate > 1.0 or (ratio > 0.999).all()
+
+
 def test_every_kind_of_vertex_is_proved_exactly(known: Design, example: Design) -> None:
     """Rules, and slope vertices at the corners of an uncertainty's box."""
     friction = np.array([[0.0, 0.0], [0.0, -1.0]])
