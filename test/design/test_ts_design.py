@@ -15,7 +15,7 @@ from tsobs_ros.design.file import load_request
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm, TSRequest
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.errors import DetectabilityError, ModelError
+from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import Direction, TSFlow, TSModel
 from tsobs_ros.resources import config_path
@@ -194,6 +194,8 @@ def test_wrong_requests_are_named(changes: dict[str, Any], message: str) -> None
 
 
 def test_what_does_not_go_together_is_refused(example: Design) -> None:
+    with pytest.raises(DesignError, match="process_noise may be too small: its noise has to reach"):
+        synthesise(replace(example.request, process_noise=[0.0, 0.0]))
     with pytest.raises(ModelError, match="slope_vertices: expected none, the premise is made of"):
         blended(slope_vertices=[np.eye(3)])
     with pytest.raises(ModelError, match=r"vertices: expected at most 16 matrices.*got 17"):

@@ -143,7 +143,10 @@ def _walk_to_domain(problem: AnyRequest, margin: float, smallest_step: float) ->
     guesses = [guess for guess in found if guess is not None]
     if not guesses:
         where = starts[-1].where
-        raise DesignError(f"no stationary Kalman filter at {where}; process_noise may be too small")
+        raise DesignError(
+            f"no stationary Kalman filter at {where}; process_noise may be too small: its noise "
+            "has to reach every state"
+        )
     scaling, share, step = guesses[0], 0.0, 1.0
     solution: _Solution | None = None
     while share < 1.0 or solution is None:
