@@ -220,6 +220,8 @@ def test_bad_measurements_are_rejected_and_counted(design: Design) -> None:
     with pytest.warns(UserWarning, match=r"time\[300\] is earlier .*: 1 of 401 samples are not"):
         estimates = ts.estimate(design, time, angle, run.torque)
 
+    with pytest.warns(UserWarning, match="no estimate was made; rejected: non-finite"):
+        ts.estimate(design, run.time, run.angle * np.nan, run.torque)
     assert estimates.rejected == {"non-finite": 1, "duplicate stamp": 2, "too old": 1}
     assert estimates.used == 397
     used = np.ones(401, bool)
