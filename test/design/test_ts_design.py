@@ -101,6 +101,10 @@ def test_without_slope_vertices_the_gap_is_not_covered_and_said_so(example: Desi
     bare = replace(example.request, slope_vertices=())
     assert not bare.covers_estimated_premise
     assert "NOT the difference between the weights" in bare.claim
+    assert "no rule fires" not in bare.claim
+    rules = RuleBase(((membership("triangle", {"left": -1, "peak": 0, "right": 2}),),) * 2)
+    narrow = replace(bare, model=replace(bare.model, rule_base=rules))
+    assert "no rule fires for a premise between -inf and -1 or between 2 and inf" in narrow.claim
     design = synthesise(bare)
     assert design.certificate.holds
     flow = bare.flow
