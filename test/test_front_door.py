@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -78,6 +79,15 @@ def test_a_simulation_is_reproducible_and_in_physical_units(design: Design) -> N
 @pytest.fixture(scope="module")
 def example_1() -> Design:
     return ts.load_design(config_path("paper_example_1.design.yaml"))
+
+
+def test_a_time_after_which_every_sample_would_be_a_start_is_refused(example_1: Design) -> None:
+    slow = replace(example_1, request=replace(example_1.request, rate=0.2))
+    with pytest.raises(
+        ts.TsobsError, match=r"stale_after: .* period, 5 s, got 5 s, with which every"
+    ):
+        ts.make_tracker(slow)
+    assert ts.make_tracker(slow, ts.ObserverSettings(stale_after=6.0)).used == 0
 
 
 @pytest.mark.parametrize("method", METHODS)
