@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -78,6 +79,15 @@ def test_a_simulation_is_reproducible_and_in_physical_units(design: Design) -> N
 @pytest.fixture(scope="module")
 def example_1() -> Design:
     return ts.load_design(config_path("paper_example_1.design.yaml"))
+
+
+def test_a_time_after_which_every_sample_would_be_a_start_is_refused(example_1: Design) -> None:
+    slow = replace(example_1, request=replace(example_1.request, rate=0.2))
+    with pytest.raises(
+        ts.TsobsError, match=r"stale_after: .* period, 5 s, got 5 s, with which every"
+    ):
+        ts.make_tracker(slow)
+    assert ts.make_tracker(slow, ts.ObserverSettings(stale_after=6.0)).used == 0
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -221,6 +231,8 @@ def test_bad_measurements_are_rejected_and_counted(design: Design) -> None:
     with pytest.warns(UserWarning, match=r"time\[300\] is earlier .*: 1 of 401 samples are not"):
         estimates = ts.estimate(design, time, angle, run.torque)
 
+    with pytest.warns(UserWarning, match="no estimate was made; rejected: non-finite"):
+        ts.estimate(design, run.time, run.angle * np.nan, run.torque)
     assert estimates.rejected == {"non-finite": 1, "duplicate stamp": 2, "too old": 1}
     assert estimates.used == 397
     used = np.ones(401, bool)

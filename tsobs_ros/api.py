@@ -296,7 +296,9 @@ def estimate(
         )
     off, text = judge_rate(rate_of(stamps), request.rate)
     health = health_of(np.column_stack([made.rows[name] for name in HEALTH]), tracker)
-    _warn(text if off else None, health and health.misfit)
+    reasons = ", ".join(reason.text for reason in rejected)
+    misfit = health.misfit if health else f"no estimate was made; rejected: {reasons}"
+    _warn(text if off else None, misfit)
     several, innovations = np.ndim(angle) == 2, made.outcomes.innovations
     return _estimates(tracker, times, made.rows, times, innovations, rejected, several)
 

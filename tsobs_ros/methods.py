@@ -225,7 +225,8 @@ def make_tracker(
         estimator: The observer if it exists already, as joints with the same design share one.
 
     Raises:
-        ModelError: The method cannot observe this model, or a time is negative.
+        ModelError: The method cannot observe this model, a time is negative, or `stale_after` is
+            not longer than the design's period.
 
     >>> import numpy as np
     >>> import tsobs_ros as ts
@@ -237,6 +238,11 @@ def make_tracker(
     (4,)
     """
     settings = settings or ObserverSettings()
+    if settings.stale_after <= design.request.period:
+        raise ModelError(
+            f"stale_after: expected more than the design's period, {design.request.period:g} s, "
+            f"got {settings.stale_after:g} s, with which every sample would restart the estimate"
+        )
     return Tracker(
         estimator or make_estimator(design, settings),
         x_max=design.request.max_angle,

@@ -207,6 +207,7 @@ SYSTEM = [
     (("system", "rules"), ..., "system.rules: missing"),
     (("system", "rules"), [], "rules: expected at least one"),
     (("system", "premises", "angle"), {}, "system.premises.angle: expected at least one of state"),
+    (("system", "rules", 0, "A"), [[1], [2]], r"rules\[0\].A: expected a square .* \(2, 1\)"),
     (("system", "rules", 1, "A"), [[1], [2]], r"system.rules\[1\].A: expected shape \(2, 2\), got"),
     (
         ("system", "rules", 0, "if"),
@@ -263,6 +264,7 @@ def test_an_edited_design_is_refused_by_its_certificate(
         ("arm: {link_inertia: 1, motor_inertia: 2, stiffness: 1e+100, gravity_torque: 1}", "mode"),
         ("design: {arm: {stiffness: 9}}", "design.arm.link_inertia: missing; an arm has all of"),
         ("desing: {rate: 100}", "design: unknown entry 'desing', expected some of arm, "),
+        ("names: {states: [a]}", "system: missing; it has the premises, rules and C of a T-S"),
         ("torque_limit: 0", "torque_limit, torque_rate_limit: expected numbers above 0, got 0.0"),
         ("uncertainty: {stiffness: 40}", "uncertainty.stiffness: expected a relative error"),
         ("x_max: 45", "x_max: expected 0 < x_max <= π rad, got 45.0: is it in degrees?"),

@@ -15,7 +15,7 @@ from tsobs_ros.design.file import load_request
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm, TSRequest
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.errors import DetectabilityError, ModelError
+from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import Direction, TSFlow, TSModel
 from tsobs_ros.resources import config_path
@@ -101,6 +101,10 @@ def test_without_slope_vertices_the_gap_is_not_covered_and_said_so(example: Desi
     bare = replace(example.request, slope_vertices=())
     assert not bare.covers_estimated_premise
     assert "NOT the difference between the weights" in bare.claim
+    assert "no rule fires" not in bare.claim
+    rules = RuleBase(((membership("triangle", {"left": -1, "peak": 0, "right": 2}),),) * 2)
+    narrow = replace(bare, model=replace(bare.model, rule_base=rules))
+    assert "no rule fires for a premise between -inf and -1 or between 2 and inf" in narrow.claim
     design = synthesise(bare)
     assert design.certificate.holds
     flow = bare.flow
@@ -124,6 +128,21 @@ def test_certified_uncertainty_covers_its_box_at_a_price(known: Design) -> None:
             N[:3, :3] += change
             assert decrease(design, *design.request.flow.error_map(N, N)) > 0
     assert "stiffness +0.05" in design.certificate.inequalities[-1].where
+
+
+@pytest.mark.parametrize("rate", [1.0 / 60.0, 20.0])
+def test_a_slow_system_has_the_design_of_a_fast_one(known: Design, rate: float) -> None:
+    """The same numbers in another unit of time, and a rate far above what the system needs."""
+    slower, fast = 2400.0, known.request
+    model = replace(fast.model, A=fast.model.A / slower, B=fast.model.B / slower)
+    density = fast.channels[0].terms[0].get("density", 0.0) / slower
+    terms = [DisturbanceTerm("bias", {"density": density})], CLEAN
+    noise = np.asarray(fast.process_noise) / slower
+    design = synthesise(blended(model=model, process_noise=noise, disturbance=terms, rate=rate))
+    assert design.certificate.holds
+    ratio = design.bound_std / known.bound_std
+    assert (ratio < 1.001).all()
+    assert rate > 1.0 or (ratio > 0.999).all()
 
 
 def test_every_kind_of_vertex_is_proved_exactly(known: Design, example: Design) -> None:
@@ -179,6 +198,8 @@ def test_wrong_requests_are_named(changes: dict[str, Any], message: str) -> None
 
 
 def test_what_does_not_go_together_is_refused(example: Design) -> None:
+    with pytest.raises(DesignError, match="process_noise may be too small: its noise has to reach"):
+        synthesise(replace(example.request, process_noise=[0.0, 0.0]))
     with pytest.raises(ModelError, match="slope_vertices: expected none, the premise is made of"):
         blended(slope_vertices=[np.eye(3)])
     with pytest.raises(ModelError, match=r"vertices: expected at most 16 matrices.*got 17"):

@@ -68,6 +68,16 @@ def test_rules_without_weights_are_refused() -> None:
             RuleBase(rules).weights(z)
 
 
+@pytest.mark.parametrize("one", EXAMPLES)
+def test_no_rule_fires_in_the_gaps_and_only_there(one: Membership) -> None:
+    """Beside a triangle on its left, whose gap to it some shapes leave open."""
+    left = membership("triangle", {"left": -4.0, "peak": -3.0, "right": -1.5})
+    z = np.linspace(-5.0, 5.0, 1000)
+    gaps = RuleBase(((left,), (one,))).gaps
+    outside = sum(((low < z) & (z < high) for low, high in gaps), start=np.zeros(1000, bool))
+    np.testing.assert_array_equal(outside, (grades(left, z) == 0.0) & (grades(one, z) == 0.0))
+
+
 def test_grades() -> None:
     shapes: dict[str, tuple[dict[str, float], list[float], list[float]]] = {
         "always": ({}, [-5.0, 0.0], [1.0, 1.0]),

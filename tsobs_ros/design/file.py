@@ -45,6 +45,8 @@ _BESIDE_SYSTEM = (
     "initial_std", "certify_uncertainty", "D_s", "uncertainty",
 )  # fmt: skip
 """Entries in the file of a T–S system after `system`, in this order: the rest of its request."""
+_ONLY_OF_SYSTEMS = {"system", "names", "units", "D_s"}
+"""Entries that no arm's request has."""
 _HEADERS = {
     _ARM: """\
 # A certified observer design for an arm with an elastic joint, made by `tsobs design`.
@@ -247,7 +249,7 @@ def load_request(path: FilePath) -> AnyRequest:
         )
     with naming(path):
         request: AnyRequest
-        if "system" in data:
+        if "design" not in data and not _ONLY_OF_SYSTEMS.isdisjoint(data):
             request = _system_request(data)
         else:
             data = data if "design" in data else {"design": data}
@@ -343,6 +345,8 @@ class _System:
             if not getattr(self, name):
                 raise ValueError(f"{name}: expected at least one")
         n, p, inputs = len(self.rules[0].A), len(self.C), self.rules[0].B.shape[1:]
+        if (first := self.rules[0].A.shape) != (n, n):
+            raise ValueError(f"rules[0].A: expected a square matrix, got shape {first}")
         C = as_matrix("C", self.C, (p, n))
         rules, outputs = [], []
         for i, rule in enumerate(self.rules):
@@ -377,7 +381,9 @@ def _arm_request(data: Mapping[str, Any]) -> ArmRequest:
 def _system_request(data: dict[Any, Any]) -> TSRequest:
     """Return the request for a T–S system; values out of range raise `ModelError`."""
     with within("system"):
-        system = decode(data.pop("system", None), _System)
+        if "system" not in data:
+            raise DesignFileError("missing; it has the premises, rules and C of a T-S system")
+        system = decode(data.pop("system"), _System)
         model = system.model()
     return decode(data, TSRequest, model=model, slope_vertices=system.slope_vertices)
 

@@ -28,7 +28,7 @@ class SolverReport:
     """The solver that computed the matrices, for information only; no check relies on it.
 
     `iterations` are those of the last solve, `seconds` is the duration of the synthesis, and
-    `margin` is the extra noise that was assumed, as a fraction of the bound per second.
+    `margin` is the extra noise that was assumed, as a fraction of the bound; see `synthesis`.
     """
 
     name: str = ""

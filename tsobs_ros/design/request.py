@@ -684,6 +684,9 @@ class TSRequest(Request):
                 "; the rules' C differ: covers what they differ by from the common C only as far "
                 "as the disturbance model does"
             )
+        if gaps := self.model.rule_base.gaps:
+            places = " or ".join(f"between {low:.4g} and {high:.4g}" for low, high in gaps)
+            text += f"; no rule fires for a premise {places}, so there is no model"
         return text
 
     @property

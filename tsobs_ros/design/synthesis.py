@@ -19,6 +19,10 @@ noise than there is, relative to the bound, so that the inequalities hold strict
 is the first of `MARGINS` whose answer passes the re-check. An arm with modes of 1000 rad/s needs
 the second or third, because a margin of 1e-4 per second is 1e-7 of the terms whose difference it
 is. Neither tighter tolerances nor more equilibration makes the solver that accurate.
+
+For slow systems, T and the extra noise are in a unit of time longer than a second: 20 periods, or
+the time of the error's fastest mode if that is longer. Otherwise a change of 1e-4 per second would
+count as little for the solver, and as much noise for a system that takes hours.
 """
 
 import math
@@ -44,7 +48,8 @@ from tsobs_ros.model.disturbance import CLEAN, DisturbanceTerm
 from tsobs_ros.model.prediction import VertexSystem
 
 MARGINS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
-"""Extra noise density, as a fraction of the bound per second, that makes the claim strict."""
+"""Extra noise density, as a fraction of the bound per second or longer unit of time of a slow
+system, that makes the claim strict."""
 
 _SETTLED = 1e-3
 _DECAYING = (DisturbanceTerm("gauss_markov"),)
@@ -138,7 +143,10 @@ def _walk_to_domain(problem: AnyRequest, margin: float, smallest_step: float) ->
     guesses = [guess for guess in found if guess is not None]
     if not guesses:
         where = starts[-1].where
-        raise DesignError(f"no stationary Kalman filter at {where}; process_noise may be too small")
+        raise DesignError(
+            f"no stationary Kalman filter at {where}; process_noise may be too small: its noise "
+            "has to reach every state"
+        )
     scaling, share, step = guesses[0], 0.0, 1.0
     solution: _Solution | None = None
     while share < 1.0 or solution is None:
@@ -176,12 +184,16 @@ def _solve(
     problem: AnyRequest, vertices: Sequence[VertexSystem], scaling: Array, margin: float
 ) -> _Solution | None:
     """Minimise trace(Z⁻¹X) over the vertices with Z = `scaling`; None if the solver gives up."""
-    n, period = problem.flow.state_count, problem.period
+    n, R = problem.flow.state_count, problem.measurement_covariance
     root = np.linalg.cholesky(scaling)
     inverse = np.linalg.inv(root)
-    decay = np.exp(-2.0 * problem.decay_rate * period)
+    decay = np.exp(-2.0 * problem.decay_rate * problem.period)
     output = problem.flow.output_matrix @ root
-    information = output.T @ np.linalg.inv(period * problem.measurement_covariance) @ output
+    closed = np.eye(n) - output.T @ np.linalg.inv(output @ output.T + R) @ output
+    modes = np.linalg.eigvals(inverse @ vertices[0].transition @ root @ closed)
+    unit = max(1.0, problem.period / min(np.abs(modes - 1.0).max(), 1.0 / 20.0))
+    period = problem.period / unit
+    information = output.T @ np.linalg.inv(period * R) @ output
 
     P, W = (cp.Variable((n, n), symmetric=True) for _ in range(2))
     constraints = [cp.bmat([[W, np.eye(n)], [np.eye(n), P]]) >> 0]

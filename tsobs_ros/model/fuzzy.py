@@ -99,6 +99,14 @@ class Membership(NamedTuple):
     numbers: tuple[float, ...]
     mapping: Mapping[str, Any]
 
+    @property
+    def support(self) -> tuple[float, float]:
+        """Ends of the interval in which it is above 0, except perhaps at a single point."""
+        if self.code in (_SINE_UPPER, _REST):
+            return -self.numbers[0], self.numbers[0]
+        is_bounded = self.code == _TRAPEZOID
+        return (self.numbers[0], self.numbers[3]) if is_bounded else (-math.inf, math.inf)
+
 
 def membership(shape: str, parameters: Mapping[str, float] | None = None) -> Membership:
     """Return a membership function by its name and parameters.
@@ -154,6 +162,16 @@ class RuleBase:
         codes = [[each.code for each in rule] for rule in self.rules]
         numbers = [[each.numbers for each in rule] for rule in self.rules]
         return np.array(codes, np.int64), np.array(numbers)
+
+    @property
+    def gaps(self) -> list[tuple[float, float]]:
+        """The intervals of a single premise variable in which no rule fires."""
+        found, reached = [], -math.inf
+        for low, high in sorted(rule[0].support for rule in self.rules if len(rule) == 1):
+            if low > reached:
+                found.append((reached, low))
+            reached = max(reached, high)
+        return [*found, (reached, math.inf)] if -math.inf < reached < math.inf else found
 
     def weights(self, z: ArrayLike) -> Array:
         """Return the normalised weights h ≥ 0 of r rules, shape (..., r), at premises (..., q).
