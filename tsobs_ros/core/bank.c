@@ -1038,6 +1038,19 @@ static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, c
     }
 }
 
+/* Charge a fork that supposes an event for the outliers that follow, beyond a first one. By chance
+ * an event explains some samples of a burst of outliers, but seldom most of them. */
+static void charge_outliers(const model *m, const hypothesis *h, const correction *effect)
+{
+    for (long i = 0; i < m->s.p; i++) {
+        const int is_used = outlook_of(effect, i)->used != 0;
+        if (effect->present[i]) {
+            *h->score -= (1 - is_used) * m->constants[OUTLIER_PRICE] * (1.0 - *h->inlier);
+            *h->inlier += 0.5 * (is_used - *h->inlier);
+        }
+    }
+}
+
 /* Correct a hypothesis of the bank, and update its score. */
 static void use_sample(const model *m, state *at, long place, correction *effect)
 {
@@ -1054,12 +1067,8 @@ static void use_sample(const model *m, state *at, long place, correction *effect
     }
     const double likelihood = correct_hypothesis(m, at, &h, effect);
     *h.score += *h.fork != STUCK ? likelihood : 0.0;
-    for (long i = 0; place >= STANDING && *h.fork < STUCK && i < m->s.p; i++) {
-        if (effect->present[i]) {
-            const int used = outlook_of(effect, i)->used;
-            *h.score -= used ? 0.0 : m->constants[OUTLIER_PRICE] * (1.0 - *h.inlier);
-            *h.inlier += 0.5 * (used - *h.inlier);
-        }
+    if (place >= STANDING && *h.fork < STUCK) {
+        charge_outliers(m, &h, effect);
     }
 }
 
