@@ -209,6 +209,7 @@ static hypothesis begin_from_best(
     *h.fork = fork;
     *h.score = score;
     *h.age = 0.0;
+    *h.inlier = 1.0;
     return h;
 }
 
@@ -614,15 +615,19 @@ static void open_disturbance(
 
 /* Open the speeds of the sides that an output shows, after a hit. They explain the innovation
  * within a period, but are at most the domain's. The hit came at any time in that period, and the
- * speed has turned the arm since. */
-static void open_speeds(const model *m, hypothesis *h, long output, double innovation)
+ * speed has turned the arm since. Return whether such a hit is enough for the innovation. */
+static int open_speeds(
+    const model *m, const state *at, hypothesis *h, long output, double innovation,
+    const correction *effect)
 {
     const long n = m->s.n, width = m->s.width;
-    double *P = h->covariance;
+    const double periods = maximum(1.0, *sensor_of(m, at, output).since / *m->period);
+    double *P = h->covariance, most = sqrt(outlook_of(effect, output)->variance);
     for (long i = 1; i < 4; i += 2) {
         const double *by = m->C + output * width + i;
         const double turn = m->design_flow.phi[(i - 1) * n + i];
         const double std = minimum(fabs(innovation) / *m->period / m->scale[i], m->domain[i]);
+        most += std * (fabs(by[-1]) * turn * periods + fabs(by[0]));
         if (by[-1] != 0.0 || by[0] != 0.0) {
             P[(i - 1) * (width + 1)] += std * std * turn * turn / 3.0;
             P[(i - 1) * width + i] += 0.5 * std * std * turn;
@@ -630,6 +635,7 @@ static void open_speeds(const model *m, hypothesis *h, long output, double innov
             P[i * (width + 1)] += std * std;
         }
     }
+    return fabs(innovation) <= *m->gate * most;
 }
 
 /* Open the states of a plant that is elsewhere: by the domain, and at least as far as the sample is
@@ -673,11 +679,12 @@ static void suppose(
         return;
     }
     hypothesis h = begin_from_best(m, at, place, fork, score);
+    int is_possible = 1;
     *h.cause = fork == JUMPED ? BASIS_JUMP : BASIS_STARTING;
     if (fork == JUMPED) {
         open_disturbance(m, at, &h, output, innovation);
     } else if (fork == HIT) {
-        open_speeds(m, &h, output, innovation);
+        is_possible = open_speeds(m, at, &h, output, innovation, effect);
     } else {
         open_plant(m, &h, is_new, effect);
     }
@@ -687,7 +694,7 @@ static void suppose(
                                                 : of->likelihood;
     }
     *h.corrected = 1;
-    if (!isfinite(*h.score)) {
+    if (!is_possible || !isfinite(*h.score)) {
         drop(m, &h);
     }
 }
@@ -1031,6 +1038,19 @@ static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, c
     }
 }
 
+/* Charge a fork that supposes an event for the outliers that follow, beyond a first one. By chance
+ * an event explains some samples of a burst of outliers, but seldom most of them. */
+static void charge_outliers(const model *m, const hypothesis *h, const correction *effect)
+{
+    for (long i = 0; i < m->s.p; i++) {
+        const int is_used = outlook_of(effect, i)->used != 0;
+        if (effect->present[i]) {
+            *h->score -= (1 - is_used) * m->constants[OUTLIER_PRICE] * (1.0 - *h->inlier);
+            *h->inlier += 0.5 * (is_used - *h->inlier);
+        }
+    }
+}
+
 /* Correct a hypothesis of the bank, and update its score. */
 static void use_sample(const model *m, state *at, long place, correction *effect)
 {
@@ -1047,6 +1067,9 @@ static void use_sample(const model *m, state *at, long place, correction *effect
     }
     const double likelihood = correct_hypothesis(m, at, &h, effect);
     *h.score += *h.fork != STUCK ? likelihood : 0.0;
+    if (place >= STANDING && *h.fork < STUCK) {
+        charge_outliers(m, &h, effect);
+    }
 }
 
 /* Correct all hypotheses, and fork the best one if it does not expect the sample. */

@@ -46,8 +46,13 @@ _FIRST_PASS = 1.0
 _LASTING = 0.2
 """A disturbance with a mode slower than this [1/s] can stay at the value that it jumped to."""
 
-_COLOUR_OF_SYSTEMS = {"COLOUR_TIME": 0.4, "COLOUR_SIZE": 1.0}
-"""Coloured noise of a T–S system; for an arm, noise so slow would explain wrong parameters."""
+_CONSTANTS_OF_SYSTEMS = {
+    "COLOUR_TIME": 0.4,  # for an arm, noise so slow would explain wrong parameters
+    "COLOUR_SIZE": 1.0,
+    "IMPERFECTION": 10.0,  # rules interpolate: such a model is often slightly wrong, never hit
+    "DRIFT_SIZE": 8.0,  # a smaller drift explains such errors better than their own hypotheses
+}
+"""Constants that differ for T–S systems."""
 
 GAIN_MODES = ("certified", "riccati")
 """The gains that may correct the estimate once it has settled."""
@@ -361,7 +366,7 @@ def certified_estimator(
             measured = flow.output_matrix[:, :plant].reshape(p, 2, 2).any(axis=(0, 2))
             one["hidden"] = np.repeat(~measured & (estimator.shape.k == 0), 2)
     else:
-        for name, value in _COLOUR_OF_SYSTEMS.items():
+        for name, value in _CONSTANTS_OF_SYSTEMS.items():
             one["constants"][CONSTANTS[name]] = value
         if flow.input_count > flow.scheduled_count:
             one["force"] = _unknown_input(flow, np.sqrt(np.diag(initial_covariance)[:plant]))
