@@ -194,6 +194,18 @@ def test_a_hit_moves_the_arm_and_not_the_bias(name: str) -> None:
     assert np.abs(got.disturbance[EVENT + 10 :]).max() < 0.1
 
 
+@both
+def test_bursts_of_outliers_are_neither_hits_nor_jumps(name: str) -> None:
+    """By chance, an event explains some of the samples of a burst."""
+    y, random = simulated().measurements[0].copy(), np.random.default_rng(3)
+    for begin in range(5 * RATE, COUNT, RATE):
+        y[begin : begin + 12] += random.uniform(-0.84, 0.84, (12, 1))
+    got = course(name, simulated(), y)
+    assert np.abs(got.state - simulated().physical[0])[5 * RATE :, 0].max() < 0.05
+    assert not {"hits", "losses of track"} & got.found.keys()
+    assert got.is_honest()
+
+
 def pushed(name: str, *pushes: Signal) -> Trajectories:
     """Simulate the arm of a precise design, whose link is pushed."""
     sensors = [
@@ -339,6 +351,25 @@ def test_noise_that_is_smaller_than_designed_is_no_sign_of_a_force() -> None:
     got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
     assert (got.hypothesis == Hypothesis.AS_DESIGNED).all()
     assert got.claimed.mean() > 0.95
+
+
+def test_a_clean_encoder_does_not_oscillate_with_the_arm_that_has_friction() -> None:
+    """A tone of the encoder at the motion's frequency would explain the samples best."""
+    request = ArmRequest(
+        ElasticJointArm(0.0059, 0.0021, 1.61, 0.2372, 0.0, 0.1109),
+        outputs=(Output("motor_angle", 0.001),),
+        process_noise=ProcessNoise(0.01, 0.01),
+        rate=500.0,
+        x_max=1.2,
+        uncertainty={},
+    )
+    run = ts.simulate(
+        request, duration=30.0, torque=lambda t: 0.15 * math.sin(3 * t),
+        friction={"motor_coulomb": 0.015},
+    )  # fmt: skip
+    got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
+    assert not (got.hypothesis == Hypothesis.TONE).any()
+    assert np.abs(got.state - run.state)[5000:, 2].max() < 0.005
 
 
 def test_slow_innovations_tell_no_more_at_a_high_rate() -> None:

@@ -209,7 +209,7 @@ static hypothesis begin_from_best(
     *h.fork = fork;
     *h.score = score;
     *h.age = 0.0;
-    *h.inlier = 1.0;
+    *h.inlier = fork != MOVED;
     return h;
 }
 
@@ -412,18 +412,22 @@ static double lowest_tone(const model *m)
     return 4.0 / m->constants[AWAKE];
 }
 
-/* Rotate the phasors of the design's innovations at all frequencies, and add the newest ones, which
- * are first summed up over .015 rad of the lowest frequency, .25 rad of the highest. */
+/* Rotate the phasors of the design's innovations, and of the motion that it estimates, at all
+ * frequencies, and add the newest ones. Both are relative to the innovations' 1 sigma, and are
+ * first summed up over .015 rad of the lowest frequency, .25 rad of the highest. */
 static void update_tones(const model *m, const state *at, const correction *effect)
 {
     const double step = m->constants[TONE_RATIO];
+    const double *x = hypothesis_of(m, at, AS_DESIGNED).x;
     for (long i = 0; i < m->s.p; i++) {
         if (!effect->present[i]) {
             continue;
         }
         const outlook *expected = outlook_of(effect, i);
         const sensor of = sensor_of(m, at, i);
-        *of.recent += clip(expected->innovation / sqrt(expected->variance), -3.0, 3.0);
+        const double *row = m->C + i * m->s.width, std = sqrt(expected->variance);
+        of.recent[0] += clip(expected->innovation / std, -3.0, 3.0);
+        of.recent[1] += (dot(row, x, m->s.plant) - dot(row, at->centre, m->s.plant)) / std;
         *of.recent_time += maximum(*of.since, *m->period);
         *of.recent_counted += counted_time(m, *of.since);
         if (*of.recent_time * lowest_tone(m) < 0.015) {
@@ -432,13 +436,16 @@ static void update_tones(const model *m, const state *at, const correction *effe
         const double left = 1.0 - share_of(*of.recent_counted, m->constants[AWAKE]);
         double rate = lowest_tone(m);
         for (long j = 0; j < TONES; j++, rate *= step) {
-            double *z = of.tones + 2 * j, sin, cos;
-            const double first = z[0];
+            double sin, cos;
             sine_and_cosine(rate * *of.recent_time, &sin, &cos);
-            z[0] = left * (cos * first - sin * z[1]) + *of.recent;
-            z[1] = left * (cos * z[1] + sin * first);
+            for (long k = 0; k < 2; k++) {
+                double *z = of.tones + 4 * j + 2 * k;
+                const double first = z[0];
+                z[0] = left * (cos * first - sin * z[1]) + of.recent[k];
+                z[1] = left * (cos * z[1] + sin * first);
+            }
         }
-        *of.recent = *of.recent_time = *of.recent_counted = 0.0;
+        of.recent[0] = of.recent[1] = *of.recent_time = *of.recent_counted = 0.0;
     }
 }
 
@@ -476,6 +483,22 @@ static void begin_tones(
     }
 }
 
+/* Return whether a clean sensor's tone at a frequency is small beside a local maximum of the motion
+ * that is at most two frequencies away. Then a wrong model of the arm is likelier than a tone. */
+static int is_of_motion(const model *m, const sensor *of, long output, long place, double loud)
+{
+    double size[TONES + 2] = {0.0}; /* with 0 beyond both ends */
+    int found = 0;
+    for (long j = 0; j < TONES; j++) {
+        size[j + 1] = sqrt(of->tones[4 * j + 2] * of->tones[4 * j + 2]
+                           + of->tones[4 * j + 3] * of->tones[4 * j + 3]);
+    }
+    for (long j = place < 3 ? 1 : place - 2; j <= TONES && j <= place + 2; j++) {
+        found |= size[j] >= maximum(size[j - 1], size[j + 1]) && size[j] > 3.0 * loud;
+    }
+    return found && m->disturbed[output] == 0;
+}
+
 /* Find the three loudest tones in an output's innovations, loudest first. Each is a local maximum;
  * its frequency is interpolated towards that of the louder neighbour, by the amplitudes of both. */
 static void find_tones(const model *m, const state *at, long output, tone *found)
@@ -488,7 +511,7 @@ static void find_tones(const model *m, const state *at, long output, tone *found
     double loud[TONES + 2] = {0.0}; /* with 0 beyond both ends */
     double rate = lowest_tone(m);
     for (long j = 1; j <= TONES; j++, rate *= step) {
-        const double *z = of.tones + 2 * (j - 1);
+        const double *z = of.tones + 4 * (j - 1);
         loud[j] = is_natural(m, rate, 0) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
     }
     rate = lowest_tone(m);
@@ -500,7 +523,8 @@ static void find_tones(const model *m, const state *at, long output, tone *found
             rate * (here + ratio * other) / (here + other),
             6.0 * share * here * std, /* large, as the filter hides part of a slow tone */
         };
-        for (long rank = 0; here >= other && rank < 3; rank++) {
+        const int is_tone = here >= other && !is_of_motion(m, &of, output, j, here);
+        for (long rank = 0; is_tone && rank < 3; rank++) {
             const tone ranked = found[rank];
             if (next.power > ranked.power && (rank == 0 || !is_natural(m, next.frequency, 1))) {
                 found[rank] = next;
@@ -1038,8 +1062,9 @@ static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, c
     }
 }
 
-/* Charge a fork that supposes an event for the outliers that follow, beyond a first one. By chance
- * an event explains some samples of a burst of outliers, but seldom most of them. */
+/* Charge a fork that supposes an event for the outliers that follow, beyond a first one; if the
+ * event is that the arm is elsewhere, which explains the most, for each one. By chance an event
+ * explains some samples of a burst of outliers, but seldom most of them. */
 static void charge_outliers(const model *m, const hypothesis *h, const correction *effect)
 {
     for (long i = 0; i < m->s.p; i++) {

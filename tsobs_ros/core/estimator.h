@@ -131,8 +131,8 @@ int sizes_are_sound(const int64_t *numbers);
     F(NUMBER, previous, 1, 1)      /* previous innovation, from which noise_scale is learnt */ \
     F(COUNT, paired, 1, 1)         /* kind of `previous`: REGULAR, OUTLIER, or 0 for none */   \
     F(NUMBER, since, 1, 1)         /* time since the output's last sample [s] */               \
-    F(MATRIX, tones, TONES, 2)     /* cosine and sine of the innovations at each frequency */  \
-    F(NUMBER, recent, 1, 1)        /* sum of the newest innovations, not in `tones` yet */     \
+    F(MATRIX, tones, TONES, 4)     /* phasors of innovations and motion at each frequency */   \
+    F(VECTOR, recent, 2, 1)        /* sums of the newest of both, not in `tones` yet */        \
     F(NUMBER, recent_time, 1, 1)   /* time that `recent` spans [s] */                          \
     F(NUMBER, recent_counted, 1, 1) /* part of recent_time that counts in averages [s] */      \
     F(NUMBER, value, 1, 1)         /* latest sample, NaN before the first */                   \
