@@ -209,7 +209,6 @@ static hypothesis begin_from_best(
     *h.fork = fork;
     *h.score = score;
     *h.age = 0.0;
-    *h.inlier = fork != MOVED;
     return h;
 }
 
@@ -1062,20 +1061,6 @@ static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, c
     }
 }
 
-/* Charge a fork that supposes an event for the outliers that follow, beyond a first one; if the
- * event is that the arm is elsewhere, which explains the most, for each one. By chance an event
- * explains some samples of a burst of outliers, but seldom most of them. */
-static void charge_outliers(const model *m, const hypothesis *h, const correction *effect)
-{
-    for (long i = 0; i < m->s.p; i++) {
-        const int is_used = outlook_of(effect, i)->used != 0;
-        if (effect->present[i]) {
-            *h->score -= (1 - is_used) * m->constants[OUTLIER_PRICE] * (1.0 - *h->inlier);
-            *h->inlier += 0.5 * (is_used - *h->inlier);
-        }
-    }
-}
-
 /* Correct a hypothesis of the bank, and update its score. */
 static void use_sample(const model *m, state *at, long place, correction *effect)
 {
@@ -1092,8 +1077,10 @@ static void use_sample(const model *m, state *at, long place, correction *effect
     }
     const double likelihood = correct_hypothesis(m, at, &h, effect);
     *h.score += *h.fork != STUCK ? likelihood : 0.0;
-    if (place >= STANDING && *h.fork < STUCK) {
-        charge_outliers(m, &h, effect);
+    /* By chance a moving arm explains some samples of a burst of outliers, but seldom most. */
+    for (long i = 0; *h.fork >= HIT && *h.fork < STUCK && i < m->s.p; i++) {
+        *h.score -= effect->present[i] && !outlook_of(effect, i)->used ? m->constants[OUTLIER_PRICE]
+                                                                      : 0.0;
     }
 }
 

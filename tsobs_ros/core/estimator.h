@@ -159,7 +159,7 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(COUNT, corrected, 1, 1)     /* whether a sample was used since the last prediction */        \
     F(VECTOR, x, s->width, 1)     /* estimate in design coordinates */                             \
     F(MATRIX, covariance, s->width, s->width) /* covariance of the error of x */                   \
-    F(NUMBER, inlier, 1, 1)       /* share of recent samples that a lone one or a fork used */     \
+    F(NUMBER, inlier, 1, 1)       /* average share of used samples */                              \
     F(VECTOR, previous, s->p, 1)  /* previous innovations */                                       \
     F(NUMBER, nis, 1, 1)          /* average square of innovations */                              \
     F(NUMBER, colour, 1, 1)       /* average product of neighbouring innovations */                \
