@@ -1161,7 +1161,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
 static int is_covered(const model *m, const hypothesis *h, double *difference)
 {
     const long n = m->s.n, width = m->s.width;
-    const double most = *m->design_flow.kind == KIND_SYSTEM ? 1.5 : INFINITY;
+    const double most = *m->design_flow.kind == KIND_SYSTEM ? 1.3 : INFINITY;
     for (long i = 0; i < m->s.plant; i++) {
         if (m->X[i * (width + 1)] > most * most * h->covariance[i * (width + 1)]) {
             return 0;
