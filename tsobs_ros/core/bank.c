@@ -1125,6 +1125,11 @@ static void correct_bank(const model *m, state *at, correction *effect)
     compare(m, at); /* the best one may have been a tone that ends, or not finite */
     suppose_otherwise(m, at);
     deactivate_bank(m, at);
+    if (*at->best != AS_DESIGNED && *hypothesis_of(m, at, AS_DESIGNED).live != 0) {
+        /* Otherwise another one may be likelier only for its better gain. */
+        h = hypothesis_of(m, at, AS_DESIGNED);
+        leave_certified(m, at, &h, BASIS_COVARIANCE);
+    }
 }
 
 void correct(const model *m, state *at, const double *y, correction *effect)
@@ -1161,7 +1166,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
 static int is_covered(const model *m, const hypothesis *h, double *difference)
 {
     const long n = m->s.n, width = m->s.width;
-    const double most = *m->design_flow.kind == KIND_SYSTEM ? 1.5 : INFINITY;
+    const double most = *m->design_flow.kind == KIND_SYSTEM ? 1.3 : INFINITY;
     for (long i = 0; i < m->s.plant; i++) {
         if (m->X[i * (width + 1)] > most * most * h->covariance[i * (width + 1)]) {
             return 0;
@@ -1208,7 +1213,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
         }
         predict_hypothesis(m, at, &h, &along, simple, scratch);
         if (!simple && !between_samples && !in_gap && *m->gain_mode == GAIN_CERTIFIED
-            && *h.kind == AS_DESIGNED && *h.settling <= 0.0
+            && i == AS_DESIGNED && *at->best == AS_DESIGNED && *h.settling <= 0.0
             && is_covered(m, &h, scratch->half)) {
             *h.certified = 1;
         }
