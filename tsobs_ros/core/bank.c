@@ -411,9 +411,9 @@ static double lowest_tone(const model *m)
     return 4.0 / m->constants[AWAKE];
 }
 
-/* Rotate the phasors of the design's innovations, and of the motion that it estimates, at all
- * frequencies, and add the newest ones. Both are relative to the innovations' 1 sigma, and are
- * first summed up over .015 rad of the lowest frequency, .25 rad of the highest. */
+/* Rotate the phasors of the design's innovations and, for clean sensors, of the motion that it
+ * estimates, at all frequencies, and add the newest ones. Both are relative to the innovations' 1
+ * sigma, and are first summed up over .015 rad of the lowest frequency, .25 rad of the highest. */
 static void update_tones(const model *m, const state *at, const correction *effect)
 {
     const double step = m->constants[TONE_RATIO];
@@ -433,11 +433,12 @@ static void update_tones(const model *m, const state *at, const correction *effe
             continue;
         }
         const double left = 1.0 - share_of(*of.recent_counted, m->constants[AWAKE]);
+        const long phasors = m->disturbed[i] != 0 ? 1 : 2;
         double rate = lowest_tone(m);
         for (long j = 0; j < TONES; j++, rate *= step) {
             double sin, cos;
             sine_and_cosine(rate * *of.recent_time, &sin, &cos);
-            for (long k = 0; k < 2; k++) {
+            for (long k = 0; k < phasors; k++) {
                 double *z = of.tones + 4 * j + 2 * k;
                 const double first = z[0];
                 z[0] = left * (cos * first - sin * z[1]) + of.recent[k];
@@ -482,20 +483,25 @@ static void begin_tones(
     }
 }
 
+/* Return the size of a phasor. */
+static double size_of(const double *z)
+{
+    return sqrt(z[0] * z[0] + z[1] * z[1]);
+}
+
 /* Return whether a clean sensor's tone at a frequency is small beside a local maximum of the motion
  * that is at most two frequencies away. Then a wrong model of the arm is likelier than a tone. */
 static int is_of_motion(const model *m, const sensor *of, long output, long place, double loud)
 {
     double size[TONES + 2] = {0.0}; /* with 0 beyond both ends */
     int found = 0;
-    for (long j = 0; j < TONES; j++) {
-        size[j + 1] = sqrt(of->tones[4 * j + 2] * of->tones[4 * j + 2]
-                           + of->tones[4 * j + 3] * of->tones[4 * j + 3]);
+    for (long j = 1; m->disturbed[output] == 0 && j <= TONES; j++) {
+        size[j] = size_of(of->tones + 4 * (j - 1) + 2);
     }
     for (long j = place < 3 ? 1 : place - 2; j <= TONES && j <= place + 2; j++) {
         found |= size[j] >= maximum(size[j - 1], size[j + 1]) && size[j] > 3.0 * loud;
     }
-    return found && m->disturbed[output] == 0;
+    return found;
 }
 
 /* Find the three loudest tones in an output's innovations, loudest first. Each is a local maximum;
@@ -510,8 +516,7 @@ static void find_tones(const model *m, const state *at, long output, tone *found
     double loud[TONES + 2] = {0.0}; /* with 0 beyond both ends */
     double rate = lowest_tone(m);
     for (long j = 1; j <= TONES; j++, rate *= step) {
-        const double *z = of.tones + 4 * (j - 1);
-        loud[j] = is_natural(m, rate, 0) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
+        loud[j] = is_natural(m, rate, 0) ? 0.0 : size_of(of.tones + 4 * (j - 1));
     }
     rate = lowest_tone(m);
     for (long j = 1; j <= TONES; j++, rate *= step) {
@@ -702,14 +707,14 @@ static void suppose(
         return;
     }
     hypothesis h = begin_from_best(m, at, place, fork, score);
-    int is_possible = 1;
     *h.cause = fork == JUMPED ? BASIS_JUMP : BASIS_STARTING;
     if (fork == JUMPED) {
         open_disturbance(m, at, &h, output, innovation);
-    } else if (fork == HIT) {
-        is_possible = open_speeds(m, at, &h, output, innovation, effect);
-    } else {
+    } else if (fork == MOVED) {
         open_plant(m, &h, is_new, effect);
+    } else if (!open_speeds(m, at, &h, output, innovation, effect)) {
+        drop(m, &h);
+        return;
     }
     for (long i = 0; i < m->s.p; i++) {
         const outlook *of = outlook_of(effect, i);
@@ -717,7 +722,7 @@ static void suppose(
                                                 : of->likelihood;
     }
     *h.corrected = 1;
-    if (!is_possible || !isfinite(*h.score)) {
+    if (!isfinite(*h.score)) {
         drop(m, &h);
     }
 }
@@ -1125,7 +1130,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
     compare(m, at); /* the best one may have been a tone that ends, or not finite */
     suppose_otherwise(m, at);
     deactivate_bank(m, at);
-    if (*at->best != AS_DESIGNED && *hypothesis_of(m, at, AS_DESIGNED).live != 0) {
+    if (*at->best != AS_DESIGNED) {
         /* Otherwise another one may be likelier only for its better gain. */
         h = hypothesis_of(m, at, AS_DESIGNED);
         leave_certified(m, at, &h, BASIS_COVARIANCE);
