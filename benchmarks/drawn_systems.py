@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Randomly drawn T–S systems, each with eight kinds of trouble: ours next to EKFs of its model.
+"""Randomly drawn T–S systems, each with eleven kinds of trouble: ours next to EKFs of its model.
 
 A system is a pendulum, two masses with a hardening spring between them, or random matrices. Each
 gets its own design and half a minute of every trouble; seeds without a design are counted. The
@@ -37,12 +37,16 @@ from tsobs_ros.simulation.signals import BiasStep, Constant, GaussMarkov, Multis
 _JUDGED = 5.0
 """Time at which judging begins [s]."""
 
+_UNKNOWN = ("an unknown input", "an offset of the input")
+"""Troubles that are an input, unknown to the observers, after the first one."""
+
 _FAR = 1e4
 """A run that goes further than this is not judged."""
 
 _TROUBLES = (
     "none", "other noise", "outliers", "a sensor steps", "lost samples", "another parameter",
-    "an unknown input", "coloured noise",
+    "an unknown input", "an offset of the input", "another gain of the input", "coloured noise",
+    "a sensor drifts",
 )  # fmt: skip
 
 _HARDENING = {2: (1.0, 1.4), 3: (1.6, 1.0, 1.6)}
@@ -294,16 +298,28 @@ def troubled(case: Case, trouble: str, seed: int) -> SystemScenario:
         size = _between(random, 3.0, 40.0) * np.sign(0.5 - random.random())
         step = BiasStep(size * sensors[hurt].noise_std, random.uniform(8.0, 20.0))
         outputs[hurt] = replace(outputs[hurt], disturbance=(*outputs[hurt].disturbance, step))
+    elif trouble == "a sensor drifts":
+        size, time = _between(random, 3.0, 20.0), _between(random, 5.0, 40.0)
+        drift = GaussMarkov(size * sensors[hurt].noise_std, time)
+        outputs[hurt] = replace(outputs[hurt], disturbance=(*outputs[hurt].disturbance, drift))
     elif trouble == "another parameter":
         theta = random.uniform(0.1, 0.3) * np.sign(0.5 - random.random())
         rates = model.rates + theta * request.uncertainty_model.directions[0]
         scenario = replace(scenario, true_rates=rates)
-    elif trouble == "an unknown input":
-        place = random.choice(np.flatnonzero(request.process_noise))
+    elif trouble == "another gain of the input":
+        B = model.B.copy()
+        B[..., 0] *= random.choice([0.7, 0.8, 1.2, 1.3])
+        model = replace(model, B=B)
+        scenario = replace(scenario, model=model, true_rates=model.rates)
+    elif trouble in _UNKNOWN:
+        place, (drive, *_) = random.choice(np.flatnonzero(request.process_noise)), scenario.inputs
         size = _between(random, 0.05, 0.5) * case.pace[place]
         unknown = Constant(size) if random.random() < 0.5 else Sine(size, random.uniform(0.05, 0.4))
-        B = np.dstack([model.B, np.repeat([np.eye(len(case.pace))[:, [place]]], len(model.B), 0)])
-        model, known = replace(model, B=B), scenario.inputs
+        column = np.repeat([np.eye(len(case.pace))[:, [place]]], len(model.B), 0)
+        if trouble == "an offset of the input" and isinstance(drive, Sine | Multisine):
+            column = model.B[..., :1]
+            unknown = Constant(_between(random, 0.1, 1.0) * drive.amplitude)
+        model, known = replace(model, B=np.dstack([model.B, column])), scenario.inputs
         scenario = replace(
             scenario, model=model, true_rates=model.rates, inputs=(known[0], unknown, *known[1:])
         )
@@ -332,7 +348,7 @@ def judged(seed: int) -> list[Judged]:
         if not (np.abs(run.states) <= _FAR).all():
             continue
         late, known = run.times >= _JUDGED, run.torques
-        if trouble == "an unknown input":
+        if trouble in _UNKNOWN:
             known = np.delete(known, 1, axis=1)
         series = stamps_of(run.times), run.measurements, known
         trackers = [Tracker(each, history=0.0, max_steps=1) for each in estimators]

@@ -95,3 +95,21 @@ def test_coloured_noise_is_taken_for_what_it_is(pendulum: Design, time: float) -
             taken = np.bincount(rows.hypothesis[late].astype(int), minlength=len(Hypothesis))
     assert taken.argmax() == Hypothesis.COLOURED_NOISE
     assert (errors[0] <= errors[1]).all()
+
+
+@pytest.mark.parametrize(("offset", "gain"), [(1.0, 1.0), (0.0, 0.5), (-0.5, 1.2)])
+def test_an_unknown_input_of_any_size_is_found(
+    pendulum: Design, offset: float, gain: float
+) -> None:
+    """The true input is `gain` times the known one plus `offset`; the known one has amplitude 2."""
+    runs = simulated(pendulum, 1, 4000, BiasStep(0.05, 0.0), initial_state=(0.5, 0.0))
+    stamps, late, errors = 10**9 + 10_000_000 * np.arange(4000), slice(1000, None), []
+    for method in ("ekf", "certified"):
+        tracker = make_tracker(pendulum, ObserverSettings(method=method))
+        known = (runs.torques[0] - offset) / gain
+        rows = tracker.follow(stamps, runs.measurements[0], known)[late]
+        errors.append(np.abs(rows.state - runs.states[0, late]))
+    assert (rows.hypothesis == Hypothesis.FORCE).mean() > 0.9
+    assert rows.claimed.all()
+    assert (errors[1] <= 3.0 * rows.state_bound).all(axis=1).mean() > 0.97
+    assert (errors[1].mean(axis=0) < 0.5 * errors[0].mean(axis=0)).all()

@@ -364,8 +364,9 @@ static void write_own_motion(
     added[0] = along->forgotten * duration;
     if (*h->kind == FORCE) {
         const long at = force_place(m) - m->s.n;
+        const double size = *h->size * *m->force;
         D[at * (stride + 1)] = torque;
-        added[at] += *m->force * *m->force * (1.0 - torque * torque);
+        added[at] += size * size * (1.0 - torque * torque);
     }
     if (*h->kind == TONE) {
         const double decay = left_after(m, duration, TONE_TIME, left);

@@ -301,11 +301,11 @@ def riccati_estimator(
 def _unknown_input(flow: Flow, std: Array) -> float:
     """Return the 1σ of an unknown part of the first input, from the plant's initial 1σ.
 
-    Within a second it moves the state that it moves most by a tenth of that state's 1σ.
+    Within a second it moves the state that it moves most by 0.3 of that state's 1σ.
     """
     gain = np.abs(flow.nominal.gamma[: len(std), 0]) / (flow.linear_share * flow.period)
     moved = gain > 0.0
-    return 0.1 * float((std[moved] / gain[moved]).min()) if moved.any() else 0.0
+    return 0.3 * float((std[moved] / gain[moved]).min()) if moved.any() else 0.0
 
 
 def _can_jump(flow: Flow) -> Array:
