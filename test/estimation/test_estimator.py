@@ -63,7 +63,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "afd3301ac22e818f",
+    "supervised arm": "2c475c8aa896bbfe",
     "pendulum": "7d3c08f11b4a7227",
     "proportional": "3bed2344d081223c",
     "proportional-integral": "6e7e29fca59d261d",

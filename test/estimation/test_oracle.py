@@ -121,6 +121,8 @@ class Filter:
         self.x = kick(middle)
 
 
+RIVALS = [Hypothesis.FORCE, Hypothesis.IMPERFECT, Hypothesis.DRIFT]
+
 FILES = {
     "one encoder": config_path(SHIPPED_DESIGN),
     "both encoders": Path(__file__).parent / "data" / "both_encoders.design.yaml",
@@ -213,16 +215,20 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
             scores = [one["score"] + likelihood(one, y, scale) for one in before[live]]
             check(after["score"][live], np.maximum(scores - max(scores), -BANK["FLOOR"]), "scores")
             compared |= {*before["kind"][live].tolist()}
-        live = np.flatnonzero(after["live"] & (after["score"] >= -0.8 * BANK["FLOOR"]))
-        if np.isin(after["fork"][live], [3, 4, 5]).any():
+        counting = after["live"] & (after["score"] >= -0.8 * BANK["FLOOR"])
+        if np.isin(after["fork"][np.flatnonzero(counting)], [3, 4, 5]).any():
             continue  # undecided ones widen the bound only
+        pushed = after["kind"][state["best"][0]] != Hypothesis.AS_DESIGNED
+        least = np.where(np.isin(np.arange(len(after)), RIVALS) & pushed, 1.0 / 6.0, 0.0)
+        live = np.flatnonzero(after["live"] & (counting | (least > 0.0)))
         weights = np.exp(after["score"][live])
-        weights /= weights.sum()
+        decided, weights = weights * counting[live], np.maximum(weights, least[live])
+        decided, weights = decided / decided.sum(), weights / weights.sum()
         whole, parts = observer.readout(state), [observer.readout(alone(state, i)) for i in live]
         for name in ("state", "disturbance"):
             values = np.array([getattr(part, name) for part in parts])
             bounds = np.array([getattr(part, f"{name}_bound") for part in parts])
-            mean = weights @ values
+            mean = decided @ values
             check(getattr(whole, name), mean, name)
             spread = weights @ (bounds**2 + (values - mean) ** 2)
             check(getattr(whole, f"{name}_bound") ** 2, spread, f"bound of {name}")

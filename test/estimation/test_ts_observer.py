@@ -18,7 +18,7 @@ from tsobs_ros.plants import scenario_of
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Plant, SimulatedOutput, Trajectories
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import BiasStep, Signal, Sine
+from tsobs_ros.simulation.signals import BiasStep, Ramp, Signal, Sine
 
 
 @pytest.fixture(scope="module")
@@ -113,3 +113,17 @@ def test_an_unknown_input_of_any_size_is_found(
     assert rows.claimed.all()
     assert (errors[1] <= 3.0 * rows.state_bound).all(axis=1).mean() > 0.97
     assert (errors[1].mean(axis=0) < 0.5 * errors[0].mean(axis=0)).all()
+
+
+def test_bounds_cover_an_input_and_a_drift_that_act_alike(pendulum: Design) -> None:
+    """The encoder drifts by a standard deviation per second; an input may explain that as well."""
+    runs = simulated(pendulum, 3, 4000, BiasStep(0.05, 0.0))
+    drift = Ramp(0.01, 10.0).values(runs.times)
+    for y, u, states in zip(runs.measurements, runs.torques, runs.states, strict=True):
+        y[:, 0] += drift
+        tracker = make_tracker(pendulum, ObserverSettings())
+        rows = tracker.follow(10**9 + 10_000_000 * np.arange(4000), y, u)
+        assert (rows.hypothesis[2000:] == Hypothesis.FORCE).mean() > 0.5  # and not the drift
+        inside = (np.abs(rows.state - states) <= 3.0 * rows.state_bound).all(axis=1)
+        assert rows.claimed.mean() > 0.95
+        assert inside[rows.claimed > 0.0].mean() > 0.95

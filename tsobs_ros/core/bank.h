@@ -69,6 +69,15 @@ static inline int counts(const model *m, const hypothesis *h)
     return *h->live != 0 && *h->score >= -0.8 * m->constants[FLOOR];
 }
 
+/* Return the least weight of a hypothesis in the bounds, relative to the likeliest one's. Unless
+ * that is the design, FORCE, IMPERFECT and DRIFT may explain the same samples, and their likelihood
+ * decides only if the rest of the model is right. With 1/6 each, three bounds reach all of them. */
+static inline double least_weight(const model *m, const state *at, long place)
+{
+    const int is_rival = place == FORCE || place == IMPERFECT || place == DRIFT;
+    return is_rival && *best_of(m, at).kind != AS_DESIGNED ? 1.0 / 6.0 : 0.0;
+}
+
 /* Return a power of slow innovations relative to the power that white noise leaves in them; nis is
  * that of all innovations. */
 static inline double slowness_of(const model *m, double power, double nis)

@@ -30,23 +30,26 @@ static int is_undecided(const model *m, const state *at, const hypothesis *h)
     return *h->fork >= HIT && *h->fork <= STUCK && counts(m, &parent);
 }
 
-/* Find the hypotheses that count, and return how many there are. Write their places; their weights;
- * their weights in the estimate (decided), 0 for undecided forks; and the growth of their bounds,
- * first of unknown torques, which explain slow innovations, then of all else. */
+/* Find the hypotheses that count in the bounds, and return how many there are. Write their places;
+ * their weights there; their weights in the estimate (decided), 0 for undecided forks and if they
+ * do not count; and the growth of their bounds, first of unknown torques, which explain slow
+ * innovations, then of all else. */
 static long weigh(const model *m, const state *at, work *scratch)
 {
     double total = 0.0, decided = 0.0; /* both above 0: parents of undecided forks count */
     long count = 0;
     hypothesis h;
     for (long i = 0; find_live(m, at, &i, &h); i++) {
-        if (counts(m, &h)) {
+        const double least = least_weight(m, at, i);
+        if (counts(m, &h) || least > 0.0) {
             const double weight = exponential(minimum(*h.score, 0.0));
+            const int is_decided = counts(m, &h) && !is_undecided(m, at, &h);
             scratch->places[count] = i;
-            scratch->weights[count] = weight;
-            scratch->decided[count] = is_undecided(m, at, &h) ? 0.0 : weight;
+            scratch->weights[count] = maximum(weight, least);
+            scratch->decided[count] = is_decided ? weight : 0.0;
             scratch->growth[2 * count] = sqrt(maximum(*h.nis, 1.0));
             scratch->growth[2 * count + 1] = scratch->growth[2 * count] * growth_of(m, &h);
-            total += weight;
+            total += scratch->weights[count];
             decided += scratch->decided[count++];
         }
     }
