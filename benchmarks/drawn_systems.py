@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Randomly drawn T–S systems, each with eleven kinds of trouble: ours next to EKFs of its model.
+"""Randomly drawn T–S systems, each with twelve kinds of trouble: ours next to EKFs of its model.
 
 A system is a pendulum, two masses with a hardening spring between them, or random matrices. Each
 gets its own design and half a minute of every trouble; seeds without a design are counted. The
@@ -46,7 +46,7 @@ _FAR = 1e4
 _TROUBLES = (
     "none", "other noise", "outliers", "a sensor steps", "lost samples", "another parameter",
     "an unknown input", "an offset of the input", "another gain of the input", "coloured noise",
-    "a sensor drifts",
+    "a sensor drifts", "another matrix A",
 )  # fmt: skip
 
 _HARDENING = {2: (1.0, 1.4), 3: (1.6, 1.0, 1.6)}
@@ -306,6 +306,9 @@ def troubled(case: Case, trouble: str, seed: int) -> SystemScenario:
         theta = random.uniform(0.1, 0.3) * np.sign(0.5 - random.random())
         rates = model.rates + theta * request.uncertainty_model.directions[0]
         scenario = replace(scenario, true_rates=rates)
+    elif trouble == "another matrix A":
+        model = replace(model, A=model.A * (1.0 + 0.1 * random.standard_normal(model.A.shape[1:])))
+        scenario = replace(scenario, model=model, true_rates=model.rates)
     elif trouble == "another gain of the input":
         B = model.B.copy()
         B[..., 0] *= random.choice([0.7, 0.8, 1.2, 1.3])
