@@ -1214,7 +1214,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
     for (long i = 0; find_live(m, at, &i, &h); i++) {
         const int simple = *m->gain_mode == GAIN_OPEN
                            || (*h.certified != 0 && *h.corrected != 0 && (regular || is_late));
-        if (between_samples && !counts(m, &h) && least_weight(m, at, i) == 0.0) {
+        if (between_samples && !counts_in_bounds(m, at, i, &h)) {
             continue;
         }
         if (!simple) {

@@ -78,6 +78,13 @@ static inline double least_weight(const model *m, const state *at, long place)
     return is_rival && *best_of(m, at).kind != AS_DESIGNED ? 1.0 / 6.0 : 0.0;
 }
 
+/* Return whether the live hypothesis h counts in the published bounds. */
+static inline int counts_in_bounds(
+    const model *m, const state *at, long place, const hypothesis *h)
+{
+    return counts(m, h) || least_weight(m, at, place) > 0.0;
+}
+
 /* Return a power of slow innovations relative to the power that white noise leaves in them; nis is
  * that of all innovations. */
 static inline double slowness_of(const model *m, double power, double nis)

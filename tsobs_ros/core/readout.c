@@ -40,12 +40,11 @@ static long weigh(const model *m, const state *at, work *scratch)
     long count = 0;
     hypothesis h;
     for (long i = 0; find_live(m, at, &i, &h); i++) {
-        const double least = least_weight(m, at, i);
-        if (counts(m, &h) || least > 0.0) {
+        if (counts_in_bounds(m, at, i, &h)) {
             const double weight = exponential(minimum(*h.score, 0.0));
             const int is_decided = counts(m, &h) && !is_undecided(m, at, &h);
             scratch->places[count] = i;
-            scratch->weights[count] = maximum(weight, least);
+            scratch->weights[count] = maximum(weight, least_weight(m, at, i));
             scratch->decided[count] = is_decided ? weight : 0.0;
             scratch->growth[2 * count] = sqrt(maximum(*h.nis, 1.0));
             scratch->growth[2 * count + 1] = scratch->growth[2 * count] * growth_of(m, &h);
