@@ -192,7 +192,7 @@ def test_the_published_observer_follows_the_published_plant(
         *("--params-file", str(config_path(f"paper_example_{number}.nodes.yaml"))),
         *("-p", f"design:={config_path(f'paper_example_{number}.design.yaml')}"),
     ]
-    clock = ["-p", "publish_clock:=true", "-p", "real_time_factor:=2.0"]
+    clock = ["-p", "publish_clock:=true", "-p", "real_time_factor:=1.0"]
     wait = ["-p", "wait_for_subscribers:=2", "-p", f"duration:={SECONDS}"]
     simulated = ["-p", "use_sim_time:=true", "-p", "publish_on:=measurement"]
     for module, extra in ((observer, simulated), (plant_simulator, [*clock, *wait])):
