@@ -53,8 +53,8 @@ class Mismatch(Numbers, kind="mismatch"):
     motor_damping: float = _change("motor's damping")
 
 
-def _friction(description: str, unit: str) -> float:
-    return setting(0.0, f"{description} friction", unit=unit, minimum=0.0)
+def _amount(description: str, unit: str) -> float:
+    return setting(0.0, description, unit=unit, minimum=0.0)
 
 
 @dataclass(frozen=True)
@@ -64,26 +64,22 @@ class Friction(Numbers, kind="friction"):
     Coulomb friction is c·sign(q̇), and below 0.01 rad/s it grows linearly from zero.
     """
 
-    link_viscous: float = _friction("The link's viscous", "N m s/rad")
-    link_coulomb: float = _friction("The link's Coulomb", "N m")
-    motor_viscous: float = _friction("The motor's viscous", "N m s/rad")
-    motor_coulomb: float = _friction("The motor's Coulomb", "N m")
+    link_viscous: float = _amount("The link's viscous friction", "N m s/rad")
+    link_coulomb: float = _amount("The link's Coulomb friction", "N m")
+    motor_viscous: float = _amount("The motor's viscous friction", "N m s/rad")
+    motor_coulomb: float = _amount("The motor's Coulomb friction", "N m")
 
 
 @dataclass(frozen=True)
 class Payload(Numbers, kind="payload"):
     """A payload on the link for a time; the link's speed does not jump when it is put on."""
 
-    link_inertia: float = setting(
-        0.0, "Inertia that it adds to the link's", unit="kg m^2", minimum=0.0
-    )
-    gravity_torque: float = setting(
-        0.0, "Torque that it adds to what holds the link horizontal", unit="N m", minimum=0.0
-    )
-    start: float = setting(0.0, "When it is put on", unit="s", minimum=0.0)
-    duration: float = setting(0.0, "How long it is carried; 0: for ever", unit="s", minimum=0.0)
-    mass: float = setting(0.0, "Mass at the distance, added to the above", unit="kg", minimum=0.0)
-    distance: float = setting(0.0, "Its distance from the axis", unit="m", minimum=0.0)
+    link_inertia: float = _amount("Inertia that it adds to the link's", "kg m^2")
+    gravity_torque: float = _amount("Torque that it adds to what holds the link horizontal", "N m")
+    start: float = _amount("When it is put on", "s")
+    duration: float = _amount("How long it is carried; 0: for ever", "s")
+    mass: float = _amount("Mass at the distance, added to the above", "kg")
+    distance: float = _amount("Its distance from the axis", "m")
 
     @property
     def total(self) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from tsobs_ros.core.functions import evaluate
 from tsobs_ros.model.arm import QUANTITIES
 from tsobs_ros.schema import decode
 from tsobs_ros.settings import live_setting
-from tsobs_ros.simulation.signals import GaussMarkov, Numbers, Signal, StuckSensor, recurs
+from tsobs_ros.simulation.signals import GaussMarkov, Numbers, Signal, StuckSensor, recurs, seconds
 from tsobs_ros.simulation.streams import Past, RandomStream, Source
 
 
@@ -32,24 +32,18 @@ class Sensor(Numbers, kind="sensor"):
         0.0, "Probability that a sample is an outlier", minimum=0.0, maximum=1.0
     )
     outlier_size: float = live_setting(1.0, "What an outlier adds, with either sign", unit="rad")
-    dropout_interval: float = live_setting(
-        0.0, "Time between the beginnings of dropouts; 0: none", unit="s", minimum=0.0
-    )
-    dropout_duration: float = live_setting(0.5, "Length of a dropout", unit="s", minimum=0.0)
+    dropout_interval: float = seconds(0.0, "Time between the beginnings of dropouts; 0: none")
+    dropout_duration: float = seconds(0.5, "Length of a dropout")
     outlier_is_uniform: bool = live_setting(False, "Outliers of any size up to this one")
-    noise_time_constant: float = live_setting(
-        0.0, "Time constant of the noise's correlation; 0: white", unit="s", minimum=0.0
-    )
+    noise_time_constant: float = seconds(0.0, "Time constant of the noise's correlation; 0: white")
     noise_degrees: int = live_setting(
         0,
         "Degrees of freedom of Student's t, which noise_std multiplies; 0: normal",
         minimum=0,
         maximum=1000,
     )
-    burst_interval: float = live_setting(
-        0.0, "Time between the beginnings of louder noise; 0: none", unit="s", minimum=0.0
-    )
-    burst_duration: float = live_setting(1.5, "Length of a burst", unit="s", minimum=0.0)
+    burst_interval: float = seconds(0.0, "Time between the beginnings of louder noise; 0: none")
+    burst_duration: float = seconds(1.5, "Length of a burst")
     burst_factor: float = live_setting(4.0, "What multiplies the noise in a burst", minimum=0.0)
     latency: float = live_setting(
         0.0, "Age of the measured value, in whole samples", unit="s", minimum=0.0, maximum=1.0

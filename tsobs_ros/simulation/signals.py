@@ -148,6 +148,11 @@ class Chirp(Signal, kind="chirp"):
         return self.amplitude * evaluate("sine", (self.lowest + half_rate * within) * within)
 
 
+def seconds(default: float, description: str) -> float:
+    """Declare a live setting of a length of time [s]."""
+    return live_setting(default, description, unit="s", minimum=0.0)
+
+
 def _start() -> Any:
     return live_setting(0.0, "Start, counted from when it was put in", unit="s")
 
@@ -207,7 +212,7 @@ class StuckSensor(Signal, kind="stuck"):
     """The measured value freezes at the start and stays for a while; the signal adds nothing."""
 
     start: float = _start()
-    duration: float = live_setting(1.0, "How long; 0: for ever", unit="s", minimum=0.0)
+    duration: float = seconds(1.0, "How long; 0: for ever")
 
     def holds(self, times: Array) -> Flags:
         """Return whether the measured value is held at times [s], shape (samples,)."""
@@ -220,10 +225,8 @@ class Pulses(Signal, kind="pulses"):
 
     amplitude: float = live_setting(0.5, "Height of a pulse")
     start: float = _start()
-    duration: float = live_setting(1.5, "Length of a pulse", unit="s", minimum=0.0)
-    interval: float = live_setting(
-        8.0, "Time between the beginnings of pulses; 0 for one", unit="s", minimum=0.0
-    )
+    duration: float = seconds(1.5, "Length of a pulse")
+    interval: float = seconds(8.0, "Time between the beginnings of pulses; 0 for one")
 
     def values(self, times: Array) -> Array:
         is_on = recurs(times - self.start, self.duration, self.interval)
