@@ -127,11 +127,9 @@ class Disturbance:
             values += each.values(times)
         for drift, stream, now in self._drifts:
             # A drift leaves zero one sample after its start.
-            before = self._times(start - 1, samples)
-            first = samples - int(np.count_nonzero((before >= 0.0) & (before >= drift.start)))
-            numbers = stream.take(samples)[:, first:]
-            period = 1.0 / self._rate
-            values[:, first:] += _moved(now, numbers, period, drift.time_constant, drift.std)
+            moves = self._times(start - 1, samples) >= max(0.0, drift.start)
+            numbers, period = stream.take(samples)[:, moves], 1.0 / self._rate
+            values[:, moves] += _moved(now, numbers, period, drift.time_constant, drift.std)
         return values
 
     def stuck(self, start: int, samples: int) -> Flags:
