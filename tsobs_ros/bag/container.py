@@ -30,9 +30,8 @@ from tsobs_ros.files import naming_path, open_regular
 Rows = NDArray[np.void]
 """Messages, each a row of the type `ROW`."""
 
-ROW = np.dtype(
-    [(f, np.int64) for f in ("channel", "log_time", "publish_time", "begin", "size", "chunk")]
-)
+_FIELDS = ("channel", "log_time", "publish_time", "begin", "size", "chunk")
+ROW = np.dtype([(name, np.int64) for name in _FIELDS])
 """A message: its channel, times [ns], first byte and size of its data in a run of records, and the
 key of this run if there are several. Times that do not fit 63 bits are negative."""
 
@@ -104,16 +103,14 @@ def split_records(data: bytes) -> Records:
     [20]
     """
     # Parts of this array that are never written take no memory.
-    fields = list(ROW.names or ())[:-1]
-    found = np.empty((len(fields), min(len(data) // MESSAGE.size, MAX_MESSAGES)), np.int64)
+    found = np.empty((len(_FIELDS) - 1, min(len(data) // MESSAGE.size, MAX_MESSAGES)), np.int64)
     count = native.messages_split(data, found)
     if count < 0:
         many = f", or more than {MAX_MESSAGES} messages" if found.shape[1] == MAX_MESSAGES else ""
         raise RecordError(f"it holds bytes that are no record{many}")
-    rows = np.zeros(count, ROW)
-    for field, values in zip(fields, found, strict=True):
-        rows[field] = values[:count]
-    return Records(data, rows)
+    rows = np.zeros((count, len(_FIELDS)), np.int64)
+    rows[:, :-1] = found[:, :count].T
+    return Records(data, rows.view(ROW)[:, 0])
 
 
 def by_channel(rows: Rows) -> Iterator[tuple[int, NDArray[np.intp]]]:
