@@ -313,18 +313,24 @@ def parse_record(record: bytes) -> McapRecord:
     Raises:
         RecordError: The bytes are no such record, or their number does not match its lengths.
     """
-    written: Any = RecordBuilder()
     try:
         # From memory, so that no stated length allocates more than exists.
         reader = StreamReader(BytesIO(record), skip_magic=True, emit_chunks=True)
         found = next(reader.records)
-        found.write(written)
+        written = packed(found)
     except (McapError, struct.error, ValueError, OverflowError, StopIteration) as error:
         raise RecordError("not a record") from error
     # The library accepts a text that ends early.
-    if written.end() != record:
+    if written != record:
         raise RecordError("not a record")
     return found
+
+
+def packed(record: McapRecord) -> bytes:
+    """Return a record as bytes."""
+    builder: Any = RecordBuilder()  # the library annotates its methods only in part
+    record.write(builder)
+    return bytes(builder.end())
 
 
 def _each(data: bytes) -> Iterator[bytes]:

@@ -11,11 +11,9 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
@@ -38,6 +36,7 @@ from tsobs_ros.bag.container import (
     RECORD,
     Records,
     message_indexes,
+    packed,
     split_records,
 )
 from tsobs_ros.bag.metadata import BagMetadata, FileMetadata, TopicInfo, profiles_to_yaml
@@ -78,7 +77,7 @@ class FileWriter:
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._stream = path.open("xb")
-        self._stream.write(MAGIC + _packed(Header("ros2", library)))
+        self._stream.write(MAGIC + packed(Header("ros2", library)))
 
     @property
     def size(self) -> int:
@@ -105,14 +104,14 @@ class FileWriter:
         if key not in self._schemas:
             schema = len(self._schemas) + 1, definition.text.encode(), definition.encoding
             self._schemas[key] = Schema(*schema, topic.type)
-            self._add(_packed(self._schemas[key]))
+            self._add(packed(self._schemas[key]))
         metadata = {
             "offered_qos_profiles": profiles_to_yaml(topic.qos_profiles),
             "topic_type_hash": topic.type_hash,
         }
         id_ = self.ids[topic.name] = len(self._channels) + 1
         self._channels.append(Channel(id_, topic.name, "cdr", metadata, self._schemas[key].id))
-        self._add(_packed(self._channels[-1]))
+        self._add(packed(self._channels[-1]))
 
     def add_message(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Append a message; times are in ns since the epoch."""
@@ -150,7 +149,7 @@ class FileWriter:
         self._finish_chunk()
         text = msgspec.yaml.encode(metadata).decode()
         record = Metadata("rosbag2", {"serialized_metadata": text})
-        data, at = _packed(record), self._stream.tell()
+        data, at = packed(record), self._stream.tell()
         self._metadata.append(MetadataIndex(at, len(data), record.name))
         self._stream.write(data)
 
@@ -166,7 +165,7 @@ class FileWriter:
     def finish(self) -> None:
         """Write the chunk in progress and the summary; nothing can be added afterwards."""
         self._finish_chunk()
-        self._stream.write(_packed(DataEnd(0)))
+        self._stream.write(packed(DataEnd(0)))
         counts = Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
@@ -189,14 +188,14 @@ class FileWriter:
         start = offsets_at = self._stream.tell()
         data = offsets = b""
         for opcode, records in groups.items():
-            group = b"".join(map(_packed, records))
-            offsets += _packed(SummaryOffset(opcode, offsets_at, len(group)))
+            group = b"".join(map(packed, records))
+            offsets += packed(SummaryOffset(opcode, offsets_at, len(group)))
             data += group
             offsets_at += len(group)
         data += offsets
         head = _FOOTER_HEAD.pack(Opcode.FOOTER, 20, start, offsets_at)
         footer = Footer(start, offsets_at, zlib.crc32(head, zlib.crc32(data)))
-        self._stream.write(data + _packed(footer) + MAGIC)
+        self._stream.write(data + packed(footer) + MAGIC)
         self._stream.flush()
         self.is_finished = True
 
@@ -216,13 +215,13 @@ class FileWriter:
             self._write_chunk(split_records(b"".join(self._records)))
             self._records, self._size, self._has_messages = [], 0, False
 
-    def _write_chunk(self, content: Records) -> None:
+    def _write_chunk(self, records: Records) -> None:
         """Write a chunk and its message indexes."""
-        data, rows = content
+        data, rows = records
         start, end = int(rows["log_time"].min()), int(rows["log_time"].max())
-        packed, crc = self._compress(data), zlib.crc32(data)
-        chunk = Chunk(self._compression, packed, end, start, crc, len(data))
-        record, at = _packed(chunk), self._stream.tell()
+        content, crc = self._compress(data), zlib.crc32(data)
+        chunk = Chunk(self._compression, content, end, start, crc, len(data))
+        record, at = packed(chunk), self._stream.tell()
         offsets, indexes = {}, bytearray()
         for channel, count, index in message_indexes(rows):
             offsets[channel] = at + len(record) + len(indexes)
@@ -233,7 +232,7 @@ class FileWriter:
             chunk_length=len(record),
             chunk_start_offset=at,
             compression=self._compression,
-            compressed_size=len(packed),
+            compressed_size=len(content),
             message_end_time=end,
             message_index_length=len(indexes),
             message_index_offsets=offsets,
@@ -255,12 +254,6 @@ def pick(content: Records, ids: Mapping[int, int]) -> Records:
     for byte in range(2):
         picked[begins + RECORD.size + byte] = channels >> 8 * byte & 255
     return split_records(picked.tobytes())
-
-
-def _packed(record: McapRecord) -> bytes:
-    builder: Any = RecordBuilder()  # the library annotates its methods only in part
-    record.write(builder)
-    return bytes(builder.end())
 
 
 def _compressor(compression: str) -> Callable[[bytes], bytes]:
