@@ -34,7 +34,6 @@ _CONSTANT = HEADER + 8
 Places = NDArray[np.intp]
 """Indices of messages in a sequence, ascending."""
 
-
 Wanted = Sequence[Sequence[tuple[str, str]]]
 """Groups of numbers to read: the entry's name, and `position`, `velocity` or `effort`."""
 

@@ -130,7 +130,7 @@ def _check_names(there: BagFiles, metadata: BagMetadata, errors: _Findings) -> N
 
 def _differences(metadata: BagMetadata, files: list["_Check"]) -> Iterator[str]:
     """Yield the differences of metadata.yaml from the metadata that the files imply."""
-    stated = _by_name(msgspec.to_builtins(metadata))
+    stated = _by_name(metadata)
     whole = [file for file in files if file.is_complete]
     counts = sum((file.kept for file in whole), Counter[str]())
     hashes = {name: one["type_description_hash"] for name, one in stated["topics"].items()}
@@ -140,8 +140,7 @@ def _differences(metadata: BagMetadata, files: list["_Check"]) -> Iterator[str]:
         for name, one in topics.items()
     ]
     own = [FileMetadata.of(one.name, *(one.span or (0, 0)), one.kept.total()) for one in whole]
-    found = BagMetadata.of(each, own)
-    actual = _by_name(msgspec.to_builtins(found))
+    actual = _by_name(BagMetadata.of(each, own))
     if len(whole) < len(metadata.files):  # compare only the files that could be checked
         for topic in actual["topics"].values():
             del topic["message_count"]
@@ -152,7 +151,8 @@ def _differences(metadata: BagMetadata, files: list["_Check"]) -> Iterator[str]:
     yield from _compared(stated, actual)
 
 
-def _by_name(information: dict[str, Any]) -> dict[str, Any]:
+def _by_name(metadata: BagMetadata) -> dict[str, Any]:
+    information = msgspec.to_builtins(metadata)
     totals = ["starting_time", "duration", "message_count", "storage_identifier"]
     totals += ["relative_file_paths"]
     topics = {}
