@@ -45,7 +45,6 @@ _FIRST_MESSAGES = 1000
 _BLOCK = 2**15
 _MAX_OTHERS = 32
 
-
 Records: TypeAlias = Any
 """Record arrays, one row per message or tick."""
 
@@ -281,14 +280,11 @@ class BagSource:
             except DesignFileError as error:
                 raise BagReadError(f"{bag}: {ran.source}: {error}") from error
 
-        files: dict[str, str | None] = {}
+        found = dict[str, tuple[Design, ...]]()
         for path in shared or (None,):
             stem = Path(path or "own").name.split(".")[0].replace("-", "_").replace(" ", "_")
-            files[stem if stem not in files else f"{stem}_{len(files) + 1}"] = path
-        found = {
-            name: tuple(design_of(joint, own.get(joint, path)) for joint in self.joints)
-            for name, path in files.items()
-        }
+            name = stem if stem not in found else f"{stem}_{len(found) + 1}"
+            found[name] = tuple(design_of(joint, own.get(joint, path)) for joint in self.joints)
         if self.take_for_system([one.request for designs in found.values() for one in designs]):
             found = {name: designs[:1] for name, designs in found.items()}
         return found
