@@ -22,6 +22,7 @@ from tsobs_ros.simulation.signals import (
 )
 
 _PLAIN = Scenario()
+_PERIOD = 1.0 / _PLAIN.rate
 
 
 def arm_with(*parts: Any, **others: Any) -> Scenario:
@@ -50,7 +51,7 @@ def _held(angle: float) -> Scenario:
 
 def _hits(speed: float, start: float, interval: float) -> Pulses:
     """Return torque pulses of one sample each, which change the link's speed [rad/s]."""
-    return Pulses(_PLAIN.arm.link_inertia * speed * _PLAIN.rate, start, 1 / _PLAIN.rate, interval)
+    return Pulses(_PLAIN.arm.link_inertia * speed * _PLAIN.rate, start, _PERIOD, interval)
 
 
 def _walk(density: float) -> GaussMarkov:
@@ -106,9 +107,7 @@ SCENARIOS: dict[str, Scenario] = {
     "rest": _held(0.0),
     "held": _held(0.5),
     **{  # one sample of the reported torque
-        f"wrong_effort_{size:g}": arm_with(
-            torque_error=(Pulses(size, 30.0, 1.0 / _PLAIN.rate, 0.0),)
-        )
+        f"wrong_effort_{size:g}": arm_with(torque_error=(Pulses(size, 30.0, _PERIOD, 0.0),))
         for size in (10.0, 50.0, 200.0, 1000.0)
     },
     # Errors of the model that are not learnt.
