@@ -406,10 +406,8 @@ class Plant:
         self.index = 0
         self._motion, rate = scenario.motion(runs), scenario.rate
         self._outputs = [Output(runs, rate, number) for number in range(len(scenario.outputs))]
-        *self._torques, self._error = (
-            Disturbance(runs, rate, Source.TORQUE, number)
-            for number in range(len(scenario.torque_disturbance) + 1)
-        )
+        numbers = range(len(scenario.torque_disturbance) + 1)
+        *self._torques, self._error = (Disturbance(runs, rate, Source.TORQUE, n) for n in numbers)
         self.exchange(scenario)
         self._held = np.zeros((len(runs), len(self._outputs)))
         self._path = TorqueDelay(scenario.torque, rate)
