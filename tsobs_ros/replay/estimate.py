@@ -128,20 +128,13 @@ class Run:
         self._outputs = [np.zeros((one.estimator.shape.p, 2), int) for one in self.trackers]
         self.signals = source.signals_of([design.request for design in observer.designs])
         self._prefix = f"{source.namespace}/{observer.name}/"
+        places, alone = [], len(source.joints) == 1
         each = zip(source.joints, self.signals, observer.designs, self.trackers, strict=True)
-        self._encoder = EstimateEncoder(
-            self._prefix,
-            [
-                places_of(
-                    joint,
-                    own,
-                    alone=len(source.joints) == 1,
-                    learnt=observer.settings.learnt(design),
-                    rated="disturbance_rate" not in tracker.estimator.lacking,
-                )
-                for joint, own, design, tracker in each
-            ],
-        )
+        for joint, own, design, tracker in each:
+            learnt = observer.settings.learnt(design)
+            rated = "disturbance_rate" not in tracker.estimator.lacking
+            places.append(places_of(joint, own, alone=alone, learnt=learnt, rated=rated))
+        self._encoder = EstimateEncoder(self._prefix, places)
         self._made = Spool(np.dtype(np.int64))
         times = [("stamps", np.int64), ("log_times", np.int64)]
         self._kept = [
@@ -184,13 +177,12 @@ class Run:
             self._restarts, self._ticks, self._last = self._restarts + 1, 0, 0
             self._has_restarted = True
         self._estimate()
-        for (estimates, innovations), rows, y in zip(
-            self._kept, self.rows, self.innovations, strict=False
-        ):
-            columns = (ticks.stamps, ticks.log_times, rows)
+        for joint, (estimates, innovations) in enumerate(self._kept):
+            columns = (ticks.stamps, ticks.log_times, self.rows[joint])
             some = [each[ticks.estimated] for each in columns]
             estimates.add(np.rec.fromarrays(some, estimates.type))
-            innovations.add(window.samples.stamps, window.samples.log_times, y)
+            samples = window.samples
+            innovations.add(samples.stamps, samples.log_times, self.innovations[joint])
         made: list[MessageSeries] = []
         # Recorded messages of restarts were copied already.
         if (self._is_first or window.restarts) and not (live is not None and live.restarts):
@@ -268,13 +260,9 @@ class Run:
         (samples, ticks, _), tracker = self.window, self.trackers[joint]
         own, shape = samples.codes[:, joint] == USED, tracker.estimator.shape
         known = np.append(0, np.cumsum(own))[ticks.known]
-        return tracker.run(
-            samples.stamps[own],
-            samples.y[own, joint, : shape.p],
-            samples.u[own, joint, : shape.m],
-            (ticks.stamps, ticks.now, known),
-            self.observer.settings.stale_after,
-        )
+        y, u = samples.y[own, joint, : shape.p], samples.u[own, joint, : shape.m]
+        at, stale_after = (ticks.stamps, ticks.now, known), self.observer.settings.stale_after
+        return tracker.run(samples.stamps[own], y, u, at, stale_after)
 
     def _due(self) -> NDArray[np.intp]:
         """Return the ticks at which a node publishes parameters and health."""

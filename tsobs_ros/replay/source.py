@@ -148,15 +148,12 @@ class BagSource:
         self.ran = observers.get(f"{self.namespace}{_OBSERVER}", self.ran)
         first = self._first_names()
         parts = {name.partition("/")[0] for name in first}
-        ran = tuple(
-            joint
-            for joint in self.ran.designs
-            if len(self.ran.designs) == 1 or not parts.isdisjoint({joint, f"{joint}_motor"})
-        )
+        only = len(self.ran.designs) <= 1
+        ran = tuple(one for one in self.ran.designs if only or parts & {one, f"{one}_motor"})
         self.guessed = not joints and not ran
         motors = {f"{name}_motor" for name in first}
         self.joints = tuple(joints) or ran or tuple(one for one in first if one not in motors)
-        self._alone = len(self.ran.designs) <= 1 and not any(
+        self._alone = only and not any(
             name.startswith(f"{joint}/") for joint in self.joints for name in first
         )
         # Without a place, the held-out sensor is the other one of a joint's two encoders.
