@@ -35,24 +35,20 @@ _OF_SERVICE = re.compile(
     "((_SendGoal|_GetResult)?_(Event|Request|Response)|_FeedbackMessage|_Goal|_Result|_Feedback)$"
 )
 
-_LINE = "\n" + _SEPARATOR + "\nMSG: "
-# The definitions that our bags need, without comments, for machines without ROS.
+# The definitions that our bags need, without comments, for machines without ROS: the text of each,
+# then name and text of each type on which it depends.
 _KNOWN = {
-    "std_msgs/msg/String": "string data\n",
-    "std_msgs/msg/Int64MultiArray": _LINE.join(
-        (
-            "std_msgs/MultiArrayLayout layout\nint64[] data",
-            "std_msgs/MultiArrayLayout\nstd_msgs/MultiArrayDimension[] dim\nuint32 data_offset",
-            "std_msgs/MultiArrayDimension\nstring label\nuint32 size\nuint32 stride\n",
-        )
+    "std_msgs/msg/String": ("string data\n",),
+    "std_msgs/msg/Int64MultiArray": (
+        "std_msgs/MultiArrayLayout layout\nint64[] data",
+        "std_msgs/MultiArrayLayout\nstd_msgs/MultiArrayDimension[] dim\nuint32 data_offset",
+        "std_msgs/MultiArrayDimension\nstring label\nuint32 size\nuint32 stride\n",
     ),
-    "sensor_msgs/msg/JointState": _LINE.join(
-        (
-            "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
-            "float64[] effort",
-            "std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id",
-            "builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
-        )
+    "sensor_msgs/msg/JointState": (
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
+        "float64[] effort",
+        "std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id",
+        "builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
     ),
 }
 
@@ -109,7 +105,7 @@ def find_definition(msgtype: str, folders: Sequence[Path] | None = None) -> Mess
         except BagWriteError:
             if full not in _KNOWN:
                 raise error from None
-            return MessageDefinition(full, _KNOWN[full], "")
+            return MessageDefinition(full, f"\n{_SEPARATOR}\nMSG: ".join(_KNOWN[full]), "")
         text, encoding = f"{_SEPARATOR}\nIDL: {full}\n{text}", "ros2idl"
     return MessageDefinition(full, text, _type_hash(full, folders), encoding)
 
