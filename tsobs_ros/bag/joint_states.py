@@ -111,14 +111,9 @@ class _Template:
         counts = fields[velocities], fields[efforts]
         if (fields[0], fields[3], counts) != (LITTLE, self._constant, self._lengths[1:]):
             return None
-        return JointState(
-            fields[1] * NANOSECONDS + fields[2],
-            self._names,
-            fields[4:velocities],
-            fields[velocities + 1 : efforts],
-            fields[efforts + 1 :],
-            self._frame_id,
-        )
+        stamp = fields[1] * NANOSECONDS + fields[2]
+        numbers = fields[4:velocities], fields[velocities + 1 : efforts], fields[efforts + 1 :]
+        return JointState(stamp, self._names, *numbers, self._frame_id)
 
     def unpack_rows(self, places: Places, data: NDArray[np.uint8]) -> JointStates:
         """Return the messages that match the template; `data` has one message per row."""
@@ -126,12 +121,9 @@ class _Template:
         fits = (rows["header"] == np.void(LITTLE)) & (rows["constant"] == np.void(self._constant))
         fits &= (rows["v"] == self._lengths[1]) & (rows["e"] == self._lengths[2])
         places, rows = places[fits], rows[fits]
-        return JointStates(
-            places,
-            self._names,
-            rows["sec"].astype(np.int64) * NANOSECONDS + rows["nanosec"],
-            *(rows[name].astype(np.float64) for name in ("position", "velocity", "effort")),
-        )
+        stamps = rows["sec"].astype(np.int64) * NANOSECONDS + rows["nanosec"]
+        numbers = (rows[name].astype(np.float64) for name in ("position", "velocity", "effort"))
+        return JointStates(places, self._names, stamps, *numbers)
 
     def pack_rows(self, stamps: Stamps, *numbers: Array) -> NDArray[np.uint8]:
         """Return messages, one per row, with numbers of the template's lengths."""
