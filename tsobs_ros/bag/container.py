@@ -276,9 +276,7 @@ def parse_summary(data: bytes, footer: Footer, rank: int = 0) -> Summary:
         RecordError: A record is malformed, the statistics are missing or state another number of
             chunks, or the checksum does not match.
     """
-    # The checksum covers the summary and the footer up to the checksum.
-    places = _FOOTER.pack(footer.summary_start, footer.summary_offset_start, 0)[:-4]
-    crc = zlib.crc32(_FOOTER_START + places, zlib.crc32(data))
+    crc = summary_crc(data, footer)
     if footer.summary_crc not in (0, crc):
         raise RecordError(
             f"the checksum (crc) of its summary is {footer.summary_crc:08x}, not {crc:08x}"
@@ -305,6 +303,11 @@ def parse_summary(data: bytes, footer: Footer, rank: int = 0) -> Summary:
     if statistics.chunk_count != len(spans):
         raise RecordError(f"{statistics.chunk_count} chunks, but {len(spans)} in the index")
     return Summary(Path(), "", schemas, channels, statistics, tuple(spans))
+
+
+def summary_crc(data: bytes, footer: Footer) -> int:
+    """Return the checksum of a summary, which also covers the footer up to the checksum."""
+    return zlib.crc32(packed(footer)[:-4], zlib.crc32(data))
 
 
 def parse_record(record: bytes) -> McapRecord:

@@ -6,7 +6,6 @@ Unlike the library's writer, it can also take the records of whole chunks.
 """
 
 import os
-import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -38,6 +37,7 @@ from tsobs_ros.bag.container import (
     message_indexes,
     packed,
     split_records,
+    summary_crc,
 )
 from tsobs_ros.bag.metadata import BagMetadata, FileMetadata, TopicInfo, profiles_to_yaml
 
@@ -45,7 +45,6 @@ COMPRESSIONS = "none", "lz4", "zstd"
 
 _OPCODE = int(Opcode.MESSAGE)
 _BODY_SIZE = MESSAGE.size - RECORD.size
-_FOOTER_HEAD = struct.Struct("<BQQQ")
 _NO_TIME = 2**63
 
 
@@ -193,8 +192,8 @@ class FileWriter:
             data += group
             offsets_at += len(group)
         data += offsets
-        head = _FOOTER_HEAD.pack(Opcode.FOOTER, 20, start, offsets_at)
-        footer = Footer(start, offsets_at, zlib.crc32(head, zlib.crc32(data)))
+        footer = Footer(start, offsets_at, 0)
+        footer.summary_crc = summary_crc(data, footer)
         self._stream.write(data + packed(footer) + MAGIC)
         self._stream.flush()
         self.is_finished = True
