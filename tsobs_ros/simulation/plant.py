@@ -108,11 +108,8 @@ class Motion:
 
     The derivatives of the states have white noise of the given densities. `sizes`, without n, and
     `numbers` are those of the plant's record in core/simulate.h. `states` are the present ones,
-    shape (runs, n). `fed_back` has the places of the inputs that are measurements, each with the
-    number of its output and that output's row of C.
+    shape (runs, n).
     """
-
-    fed_back: tuple[tuple[int, int, Array], ...] = ()
 
     def __init__(
         self,
@@ -149,6 +146,12 @@ class Motion:
         numbers = self._record.view(np.float64)
         native.simulate(self._sizes, numbers, inputs, kicks, self.states, states, outputs)
         return states, outputs
+
+    def present(self, number: int) -> Array:
+        """Return the true values of an output that has the same C in all rules, shape (runs, 1)."""
+        # Term by term, since the last bits of a matrix product depend on the number of runs.
+        row = self._record["outputs"][0, number]
+        return np.add.accumulate(row * self.states, axis=1)[:, -1:]
 
 
 class ArmMotion(Motion):
@@ -335,7 +338,7 @@ class SystemScenario(PlantScenario):
         model, start = self.model, np.asarray(self.initial_state)
         shapes, parameters = model.rule_base.coded
         n, m, outputs = model.state_count, model.input_count, model.rule_outputs
-        motion = Motion(
+        return Motion(
             seeds,
             self.rate,
             np.repeat([start], len(seeds), axis=0),
@@ -347,12 +350,6 @@ class SystemScenario(PlantScenario):
             parameters=parameters.reshape(-1, 4),
             premise=np.hstack([model.premise, np.zeros((len(model.premise), m)), model.schedule]),
         )
-        motion.fed_back = tuple(
-            (m + place, number, outputs[0, number])
-            for place, number in enumerate(self.fed_back)
-            if number is not None
-        )
-        return motion
 
 
 class Trajectories(NamedTuple):
@@ -409,6 +406,8 @@ class Plant:
         numbers = range(len(scenario.torque_disturbance) + 1)
         *self._torques, self._error = (Disturbance(runs, rate, Source.TORQUE, n) for n in numbers)
         self.exchange(scenario)
+        fed_back = enumerate(scenario.fed_back, scenario.input_count)
+        self._fed_back = [(place, number) for place, number in fed_back if number is not None]
         self._held = np.zeros((len(runs), len(self._outputs)))
         self._path = TorqueDelay(scenario.torque, rate)
         # In estimators the error of a reported torque takes the same path.
@@ -465,7 +464,7 @@ class Plant:
                 raise ModelError(f"torque of sample {place}: expected finite numbers")
         n, p, t = self._motion.states.shape[1], len(self._outputs), len(self._torques)
         kept = [np.empty((runs, samples, width)) for width in (n, p, p, inputs.shape[2], t)]
-        block = 1 if self._motion.fed_back else max(1, _BLOCK // runs)
+        block = 1 if self._fed_back else max(1, _BLOCK // runs)
         for done in range(0, samples, block):
             now = np.s_[:, done : done + block]
             for whole, part in zip(kept, self._advance(inputs[now].copy()), strict=True):
@@ -482,10 +481,8 @@ class Plant:
         for side, disturbance in enumerate(self._torques):
             torques[..., side] = disturbance.values(start, shape[1])
         measured = {}
-        for place, number, row in motion.fed_back:
-            # Term by term, since the last bits of a matrix product depend on the number of runs.
-            truth = np.add.accumulate(row * motion.states, axis=1)[:, -1:]
-            measured[number] = self._outputs[number].measure(start, truth)
+        for place, number in self._fed_back:
+            measured[number] = self._outputs[number].measure(start, motion.present(number))
             value = measured[number][1][:, 0]
             self._held[:, number] = np.where(np.isfinite(value), value, self._held[:, number])
             inputs[:, 0, place] = self._held[:, number]
