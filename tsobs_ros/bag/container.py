@@ -207,7 +207,6 @@ class Summary(NamedTuple):
     `profile` is the one in the file's header.
     """
 
-    path: Path
     profile: str
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
@@ -250,8 +249,8 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
     if size - start > MAX_SUMMARY_SIZE:
         raise RecordError(f"it states a summary of {size - start} bytes, too many to read")
     stream.seek(start)
-    summary = parse_summary(stream.read(size - END_SIZE - start), footer, rank)
-    summary = summary._replace(path=path, profile=header.profile)
+    data = stream.read(size - END_SIZE - start)
+    summary = parse_summary(data, footer, header.profile, rank)
     spans = summary.spans
     # Otherwise a few bytes of index could have the same large chunk read again and again.
     for one, other in pairwise(sorted(spans, key=attrgetter("offset"))):
@@ -269,8 +268,8 @@ def find_footer(end: bytes) -> Footer | None:
     return Footer(*_FOOTER.unpack_from(end, RECORD.size))
 
 
-def parse_summary(data: bytes, footer: Footer, rank: int = 0) -> Summary:
-    """Return the summary from its records; its path and profile are empty.
+def parse_summary(data: bytes, footer: Footer, profile: str = "", rank: int = 0) -> Summary:
+    """Return the summary from its records; the profile is not among them.
 
     Raises:
         RecordError: A record is malformed, the statistics are missing or state another number of
@@ -302,7 +301,7 @@ def parse_summary(data: bytes, footer: Footer, rank: int = 0) -> Summary:
         raise RecordError("it has no index")
     if statistics.chunk_count != len(spans):
         raise RecordError(f"{statistics.chunk_count} chunks, but {len(spans)} in the index")
-    return Summary(Path(), "", schemas, channels, statistics, tuple(spans))
+    return Summary(profile, schemas, channels, statistics, tuple(spans))
 
 
 def summary_crc(data: bytes, footer: Footer) -> int:

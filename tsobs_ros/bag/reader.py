@@ -120,11 +120,11 @@ class BagReader:
         self.topics: dict[str, TopicInfo] = {}
         self.unchecked = 0
         self.summaries = tuple(read_summary(file, rank) for rank, file in enumerate(self.files))
-        for summary in self.summaries:
+        for file, summary in zip(self.files, self.summaries, strict=True):
             try:
                 self._add_topics(summary)
             except ValueError as error:
-                raise BagReadError(f"{summary.path}: {error}") from error
+                raise BagReadError(f"{file}: {error}") from error
         filled = [s.statistics for s in self.summaries if s.statistics.message_count]
         self.start_time = min((each.message_start_time for each in filled), default=None)
         self.end_time = max((each.message_end_time for each in filled), default=None)

@@ -63,8 +63,8 @@ def summarise(bag: str | Path) -> BagSummary:
         reader = BagReader(path)
         metadata, start, end = reader.metadata, reader.start_time, reader.end_time
         files = [
-            (one.path.name, one.path.stat().st_size, one.statistics.message_count)
-            for one in reader.summaries
+            (file.name, file.stat().st_size, one.statistics.message_count)
+            for file, one in zip(reader.files, reader.summaries, strict=True)
         ]
         durations = _durations(reader)
         topics = [(one, durations[name]) for name, one in reader.topics.items()]
