@@ -150,7 +150,7 @@ def test_one_filter_is_that_of_the_formulas(name: str, gain_mode: str) -> None:
             y[step // 30 % p] = np.nan
         state, correction = observer.correct(state, y)
         check(correction.innovation[np.isfinite(y)], e[np.isfinite(y)], "innovation")
-        check(correction.innovation_covariance.diagonal(), S.diagonal(), "S")
+        check(correction.innovation_variance, S.diagonal(), "S")
         oracle.correct(y)
         u, T = 5.0 * rng.standard_normal(1), oracle.T * (2.3 if step % 50 == 45 else 1.0)
         oracle.predict(u, T)

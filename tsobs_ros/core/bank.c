@@ -378,7 +378,7 @@ static int examine(const model *m, state *at, correction *effect)
         if (is_stuck(m, at, i)) {
             effect->present[i] = expected->used = 0;
         } else if (isfinite(expected->innovation)) {
-            scale_noise(m, &of, expected->innovation, m->innovation_covariance[i * m->s.p + i]);
+            scale_noise(m, &of, expected->innovation, m->innovation_variance[i]);
         }
         scale = maximum(scale, *of.noise_scale);
         outliers = outliers || (effect->present[i] && !expected->used);
@@ -511,8 +511,7 @@ static void find_tones(const model *m, const state *at, long output, tone *found
     const sensor of = sensor_of(m, at, output);
     const double share = share_of(counted_time(m, *of.since), m->constants[AWAKE]);
     const double step = m->constants[TONE_RATIO];
-    const double std
-        = noise_of(m, at, output) * sqrt(m->innovation_covariance[output * (m->s.p + 1)]);
+    const double std = noise_of(m, at, output) * sqrt(m->innovation_variance[output]);
     double loud[TONES + 2] = {0.0}; /* with 0 beyond both ends */
     double rate = lowest_tone(m);
     for (long j = 1; j <= TONES; j++, rate *= step) {
@@ -990,20 +989,6 @@ static void follow_motion(const model *m, state *at, const hypothesis *h)
     }
 }
 
-/* Write the sample's innovation by the best hypothesis, which is not corrected by it yet. */
-static void write_innovation(const model *m, const hypothesis *best, correction *effect)
-{
-    const long p = m->s.p;
-    for (long i = 0; i < p * p; i++) {
-        effect->innovation_covariance[i]
-            = *best->certified != 0 ? m->innovation_covariance[i] : 0.0;
-    }
-    for (long i = 0; i < p; i++) {
-        effect->innovation[i] = outlook_of(effect, i)->innovation;
-        effect->innovation_covariance[i * p + i] = outlook_of(effect, i)->variance;
-    }
-}
-
 /* Return whether it is time to suppose a jump without a sign: in loud noise, four times per trial,
  * while the bank is awake or another kind than the design is the best. */
 static int is_due(const model *m, const state *at, long output)
@@ -1037,7 +1022,7 @@ static int fork_best(const model *m, const state *at, correction *effect)
     int forked = 0;
     for (long i = 0; i < m->s.p; i++) {
         const double innovation = effect->innovation[i];
-        const double std = sqrt(effect->innovation_covariance[i * (m->s.p + 1)]);
+        const double std = sqrt(effect->innovation_variance[i]);
         const double sudden = m->constants[SUDDEN] * std;
         const int is_outlier = !outlook_of(effect, i)->used, is_disturbed = m->disturbed[i] != 0;
         const int is_sudden = is_outlier || (is_disturbed && fabs(innovation) > sudden);
@@ -1103,7 +1088,10 @@ static void correct_bank(const model *m, state *at, correction *effect)
     const long best = *at->best;
     hypothesis h = best_of(m, at);
     const int outliers = examine(m, at, effect);
-    write_innovation(m, &h, effect);
+    for (long i = 0; i < m->s.p; i++) { /* of the best hypothesis, not corrected yet */
+        effect->innovation[i] = outlook_of(effect, i)->innovation;
+        effect->innovation_variance[i] = outlook_of(effect, i)->variance;
+    }
     follow_motion(m, at, &h);
     if (*m->supervised == 0) {
         correct_hypothesis(m, at, &h, effect);

@@ -230,7 +230,7 @@ enum { OUTLOOK_SIZE = sizeof(outlook) / sizeof(double) };
  * use the same scratch in turn, the likeliest one last. */
 #define CORRECTION_FIELDS(F, s)                                                              \
     F(VECTOR, innovation, s->p, 1)                                                           \
-    F(MATRIX, innovation_covariance, s->p, s->p)                                             \
+    F(VECTOR, innovation_variance, s->p, 1)                                                  \
     F(COUNTS, present, s->p, 1)   /* whether an output is there, and its sensor not stuck */ \
     F(MATRIX, outlooks, s->p, OUTLOOK_SIZE) /* an `outlook` of each output */                \
     F(MATRIX, crossed, s->p, s->width) /* covariance of innovations with the states */       \
@@ -308,7 +308,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(MATRIX, X, s->width, s->width) /* certified bound before a sample */                        \
     F(MATRIX, P, s->width, s->width) /* inverse of X */                                           \
     F(MATRIX, posterior, s->width, s->width) /* certified bound after a sample */                 \
-    F(MATRIX, innovation_covariance, s->p, s->p) /* certified covariance of innovations */        \
+    F(VECTOR, innovation_variance, s->p, 1) /* certified variances of innovations */              \
     F(VECTOR, scale, s->plant, 1)    /* factors from the plant's states to physical units */      \
     F(MATRIX, disturbance_map, s->p, s->width) /* map from states to disturbances */              \
     F(MATRIX, disturbance_direct, s->p, s->p) /* map from samples to disturbances */              \

@@ -90,7 +90,7 @@ static outlook expect(
     add_parts(m, h, i, row);
     of.innovation = at->y[i] - (sparse_dot(row, h->x, used) + dot(m->D + i * p, at->sample, p));
     if (*h->certified != 0) {
-        of.known = scale * scale * m->innovation_covariance[i * p + i];
+        of.known = scale * scale * m->innovation_variance[i];
         return of;
     }
     combine(row, h->covariance, width, crossed, 0, used, used);
@@ -117,7 +117,7 @@ static double price_of(const model *m, const hypothesis *h)
 static outlook judge(
     const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const long k = m->s.k, p = m->s.p, width = m->s.width, used = states_in_use(m, h);
+    const long k = m->s.k, width = m->s.width, used = states_in_use(m, h);
     const double scale = noise_of(m, at, i);
     double *omega = effect->omega + i * k;
     outlook of = expect(m, at, h, i, effect);
@@ -133,7 +133,7 @@ static outlook judge(
         of.used = !(ratio > *m->gate * *m->gate);
         return of;
     }
-    const double designed = scale * scale * m->innovation_covariance[i * p + i];
+    const double designed = scale * scale * m->innovation_variance[i];
     of.likelihood = -0.5 * ratio - 0.5 * logarithm(of.variance / designed) - price_of(m, h);
     of.used = of.likelihood >= -0.5 * *m->gate * *m->gate;
     of.likelihood = maximum(of.likelihood, -m->constants[OUTLIER_PRICE]);

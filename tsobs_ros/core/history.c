@@ -144,18 +144,15 @@ static void restart(tracker *t, double *numbers, state *at, int failed)
     *at->failures = failures;
 }
 
-/* Correct a state by a measurement; return whether innovations and their covariance are finite. */
+/* Correct a state by a measurement; return whether innovations and their variances are finite. */
 static int correct_by_sample(tracker *t, state *at, const double *y, const double *u)
 {
-    const int64_t p = t->m.s.p;
     double total = 0.0;
     take_torque(&t->m, at, u);
     correct(&t->m, at, y, &t->effect);
-    for (int64_t i = 0; i < p; i++) {
+    for (int64_t i = 0; i < t->m.s.p; i++) {
         total += isfinite(y[i]) ? t->effect.innovation[i] : 0.0;
-        for (int64_t j = 0; j < p; j++) {
-            total += t->effect.innovation_covariance[i * p + j];
-        }
+        total += t->effect.innovation_variance[i];
     }
     return isfinite(total) != 0;
 }
@@ -251,7 +248,7 @@ static void write_outcome(const tracker *t, const double *y, const outcomes *wri
 {
     const int64_t p = t->m.s.p;
     for (int64_t j = 0; j < p; j++) {
-        const double variance = t->effect.innovation_covariance[j * p + j];
+        const double variance = t->effect.innovation_variance[j];
         const int64_t code = outlook_of(&t->effect, j)->used ? USED : GATED;
         written->output_codes[i * p + j] = isfinite(y[j]) ? code : NON_FINITE;
         written->innovations[i * p + j] = code == USED ? t->effect.innovation[j] : NAN;

@@ -104,10 +104,10 @@ class SupervisionOptions:
 
 
 class Correction(NamedTuple):
-    """A measurement's y − ŷ, shape (p,), and its expected covariance, (p, p)."""
+    """A measurement's y − ŷ, and the variance expected of each output, shape (p,)."""
 
     innovation: Array
-    innovation_covariance: Array
+    innovation_variance: Array
 
 
 class Estimator:
@@ -383,7 +383,7 @@ def certified_estimator(
         ("K", K),
         ("P", inverse(X)),
         ("posterior", joseph(C, R, X, K)),
-        ("innovation_covariance", congruent(C, X, R)),
+        ("innovation_variance", congruent(C, X, R).diagonal()),
         ("state_std", np.sqrt(X.diagonal())),
         ("disturbance_std", np.sqrt(np.maximum(congruent(H, X).diagonal(), 0.0))),
         ("torque_std", np.sqrt(np.maximum(congruent(T, X).diagonal(), 0.0))),
