@@ -924,10 +924,7 @@ static void select_forks(const model *m, state *at)
             const hypothesis parent = hypothesis_of(m, at, *h.kind);
             if (*parent.live == 0 || *h.age > m->constants[TRIAL]
                 || *parent.score < -0.5 * m->constants[FLOOR]) {
-                *at->jumps += *h.fork == JUMPED;
-                *at->hits += *h.fork == HIT;
-                *at->losses += *h.fork == MOVED;
-                *at->wrong_torques += *h.fork == WRONG_TORQUE;
+                at->won[*h.fork] += 1;
                 if (*h.fork == JUMPED) {
                     open_to_jump(m, at, &h);
                 }

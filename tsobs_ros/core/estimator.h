@@ -207,10 +207,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(VECTOR, noise, s->plant, 1)   /* mean variance of the plant's errors over some seconds */    \
     F(NUMBER, stillness, 1, 1)      /* least noise / spread of a state, 1 at rest */               \
     F(COUNT, outliers, 1, 1)        /* number of samples with outliers */                          \
-    F(COUNT, jumps, 1, 1)           /* number of jumps of a sensor */                              \
-    F(COUNT, hits, 1, 1)            /* number of hits */                                           \
-    F(COUNT, losses, 1, 1)          /* number of times that the arm was elsewhere */               \
-    F(COUNT, wrong_torques, 1, 1)   /* number of torques that never acted */                       \
+    F(COUNTS, won, OTHERWISE + 1, 1) /* number of forks that took a place, by their assumption */  \
     F(COUNTS, judged, OUTCOMES, 1)  /* number of samples by outcome, neither USED nor refused */   \
     F(COUNT, restarts, 1, 1)        /* number of new starts after gaps and failures */             \
     F(COUNT, failures, 1, 1)        /* number of new starts after numbers that were not finite */  \

@@ -38,13 +38,8 @@ _BASES, _LEARNINGS, _HYPOTHESES = tuple(Basis), tuple(Learning), tuple(Hypothesi
 
 _MEMORY = record_type("history")
 
-_FOUND = {
-    "outliers left out": "outliers",
-    "sensor jumps": "jumps",
-    "hits": "hits",
-    "losses of track": "losses",
-    "wrong torques": "wrong_torques",
-}
+_FOUND = {"sensor jumps": 2, "hits": 3, "losses of track": 4, "wrong torques": 1}
+"""Assumptions of forks by their codes in core/estimator.h."""
 
 _LONGEST = 2**61
 """Longer times are treated as this long, so that no sum of stamps overflows [ns]."""
@@ -206,8 +201,11 @@ class Tracker:
     @property
     def events(self) -> dict[str, int]:
         """Counts of findings up to the newest measurement, by name; none without supervision."""
-        state, found = self.state, _FOUND if self.estimator.supervised else {}
-        return {name: int(state[field][0]) for name, field in found.items()}
+        if not self.estimator.supervised:
+            return {}
+        state, won = self.state, self.state["won"][0].tolist()
+        found = {name: won[fork] for name, fork in _FOUND.items()}
+        return {"outliers left out": int(state["outliers"][0]), **found}
 
     def reject(self, reason: RejectReason, count: int = 1) -> None:
         """Count measurements that the caller could not even read."""
