@@ -66,16 +66,6 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
 
 /* --- correction --- */
 
-/* Return a . b for an a that is mostly 0. */
-static double sparse_dot(const double *a, const double *b, long n)
-{
-    double total = 0.0;
-    for (long i = 0; i < n; i++) {
-        total += a[i] != 0.0 ? a[i] * b[i] : 0.0;
-    }
-    return total;
-}
-
 /* Return an output's outlook for exact parameters. Write its derivative by the states (row) and,
  * unless the gain is certified, the innovation's covariance with the states in use (crossed). */
 static outlook expect(
@@ -88,13 +78,13 @@ static outlook expect(
     outlook of = {0.0, 0.0, 0.0, 0.0, 0};
     memcpy(row, m->C + i * width, (size_t)width * sizeof *row);
     add_parts(m, h, i, row);
-    of.innovation = at->y[i] - (sparse_dot(row, h->x, used) + dot(m->D + i * p, at->sample, p));
+    of.innovation = at->y[i] - (dot(row, h->x, used) + dot(m->D + i * p, at->sample, p));
     if (*h->certified != 0) {
         of.known = scale * scale * m->innovation_variance[i];
         return of;
     }
     combine(row, h->covariance, width, crossed, 0, used, used);
-    of.known = sparse_dot(row, crossed, used) + m->R[i * p + i] * (scale * scale * factor);
+    of.known = dot(row, crossed, used) + m->R[i * p + i] * (scale * scale * factor);
     return of;
 }
 
@@ -122,7 +112,7 @@ static outlook judge(
     double *omega = effect->omega + i * k;
     outlook of = expect(m, at, h, i, effect);
     for (long a = 0; a < k; a++) {
-        omega[a] = sparse_dot(effect->row, h->sensitivity + a * width, used);
+        omega[a] = dot(effect->row, h->sensitivity + a * width, used);
     }
     of.variance = of.known + (k > 0 ? maximum(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
     if (!effect->present[i]) {
@@ -453,7 +443,7 @@ static void step_hypothesis(
         }
         write_own_motion(m, h, along, is_rest, used, map + corner, added);
         for (long i = 0; i < count; i++) {
-            moved[i] = sparse_dot(map + corner + i * used, h->x + n, count);
+            moved[i] = dot(map + corner + i * used, h->x + n, count);
         }
         for (long i = 1; *h->kind == TONE && i < count; i += 3) {
             double *row = map + corner + i * used; /* a higher frequency turns it further */
