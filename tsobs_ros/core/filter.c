@@ -424,9 +424,7 @@ static void step_hypothesis(
     if (is_at_link) {
         h->x[1] += half * h->x[n + 1];
     }
-    take_step(
-        &m->design_flow, over, h->x, h->theta, u,
-        simple ? (k > 0 ? DERIVATIVES : NOTHING) : COVARIANCE, step);
+    take_step(&m->design_flow, over, h->x, h->theta, u, k > 0 || !simple, step);
     if (is_at_link) {
         h->x[1] += half * h->x[n + 1];
     }

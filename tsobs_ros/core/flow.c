@@ -68,9 +68,9 @@ linear_step other_step(const flow *f, double duration, const flow_step *work)
 
 /* --- arms --- */
 
-/* Kick both velocities over half a step by `total`, the summed effects of gravity and theta. Unless
- * NOTHING is wanted, also kick the rows of effects, and write the velocities' two rows of the
- * kick's Jacobian minus I. */
+/* Kick both velocities over half a step by `total`, the summed effects of gravity and theta. If
+ * wanted, also kick the rows of effects, and write the velocities' two rows of the kick's Jacobian
+ * minus I. */
 static void kick_arm(
     const flow *f, const double *total, double torque, double half, double *x, int is_first,
     int wanted, const flow_step *work, long n)
@@ -84,7 +84,7 @@ static void kick_arm(
     causes[BY_EXTERNAL] = dot(f->link_torque + 4, x + 4, n - 4);
     x[1] += dot(total, causes, CAUSES);
     x[3] += dot(total + CAUSES, causes, CAUSES);
-    if (wanted == NOTHING) {
+    if (!wanted) {
         return;
     }
     for (long side = 0; side < 2; side++) {
@@ -97,7 +97,7 @@ static void kick_arm(
         }
         rows[side * n] += by[BY_SINE] * cos;
     }
-    for (long i = 0; i < k + (wanted == COVARIANCE); i++) {
+    for (long i = 0; i <= k; i++) { /* the last is the push */
         const double *by = f->effects + 2 * i * CAUSES, *push = total + BY_TORQUE;
         double *row = work->effects + i * n;
         const double link = is_first ? 0.0 : row[1] + dot(rows, row, n);
@@ -154,8 +154,8 @@ static inline void step_arm(
         moved[i] = dot(over->phi + i * n, x, n) + dot(over->gamma + i * inputs, u, inputs);
     }
     memcpy(x, moved, (size_t)n * sizeof *x);
-    if (wanted != NOTHING) {
-        for (long row = 0; row < k + (wanted == COVARIANCE); row++) {
+    if (wanted) {
+        for (long row = 0; row <= k; row++) {
             double *effect = work->effects + row * n;
             const double at_link = effect[1], at_motor = effect[3]; /* the others are 0 */
             for (long i = 0; i < n; i++) {
@@ -171,10 +171,8 @@ static inline void step_arm(
         }
     }
     kick_arm(f, total, u[0], half, x, 0, wanted, work, n);
-    if (wanted != NOTHING) {
+    if (wanted) {
         shear_rows(n, link, changes, work->J);
-    }
-    if (wanted == COVARIANCE) {
         memcpy(work->Q, over->noise, (size_t)(n * n) * sizeof *work->Q);
         shear(n, link, changes, work->Q);
     }
@@ -237,8 +235,7 @@ static void write_remainder(
 /* Write the linearisation of a step from the remainder's Jacobians N1, N2, which are overwritten:
  * J = Phi [Phi + T N2 Phi (I + (T/2) N1)], noise Phi (I + T N2) n1 + n2. */
 static void linearise_system(
-    const flow *f, const linear_step *over, double *N1, double *N2, int wanted,
-    const flow_step *work)
+    const flow *f, const linear_step *over, double *N1, double *N2, const flow_step *work)
 {
     const long n = sizes_of(f)->n, k = sizes_of(f)->k, squares = n * n;
     const long inputs = sizes_of(f)->inputs;
@@ -267,9 +264,6 @@ static void linearise_system(
     multiply(N2, inner, outer, n, n, n);
     add_scaled(outer, 1.0, over->phi, squares);
     multiply(over->phi, outer, work->J, n, n, n);
-    if (wanted != COVARIANCE) {
-        return;
-    }
     for (long i = 0; i < n; i++) {
         N2[i * n + i] += 1.0;
     }
@@ -287,7 +281,7 @@ static void step_system(
     const long n = sizes_of(f)->n, k = sizes_of(f)->k, inputs = sizes_of(f)->inputs;
     double *forced = work->vectors, *moved = forced + n, *remainder = moved + n;
     double *middle = remainder + n;
-    double *N1 = wanted != NOTHING ? work->squares : NULL, *N2 = N1 != NULL ? N1 + n * n : NULL;
+    double *N1 = wanted ? work->squares : NULL, *N2 = wanted ? N1 + n * n : NULL;
     for (long i = 0; i < n; i++) {
         forced[i] = dot(over->gamma + i * inputs, u, inputs);
         moved[i] = dot(over->phi + i * n, x, n) + forced[i];
@@ -301,8 +295,8 @@ static void step_system(
     add_scaled(moved, over->duration, remainder, n);
     multiply(over->phi, moved, x, n, n, 1);
     add_scaled(x, 1.0, forced, n);
-    if (wanted != NOTHING) {
-        linearise_system(f, over, N1, N2, wanted, work);
+    if (wanted) {
+        linearise_system(f, over, N1, N2, work);
     }
 }
 

@@ -111,9 +111,8 @@ int flow_is_sound(double *memory, size_t length);
 /* Return the linear flow over a step of any duration [s]; its matrices are kept in `work`. */
 linear_step other_step(const flow *f, double duration, const flow_step *work);
 
-/* Move x (n) over a step with parameters theta and held signals u, and write the wanted part of the
- * linearisation: NOTHING, DERIVATIVES (J and the effects of theta), or COVARIANCE (all). */
-enum { NOTHING, DERIVATIVES, COVARIANCE };
+/* Move x (n) over a step with parameters theta and held signals u. Write the linearisation if it is
+ * wanted. */
 void take_step(
     const flow *f, const linear_step *over, double *x, const double *theta, const double *u,
     int wanted, const flow_step *work);
