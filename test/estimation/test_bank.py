@@ -563,7 +563,7 @@ def test_a_stiffer_arm_is_learnt_whatever_the_noise(sensor: Sensor) -> None:
     assert (got.hypothesis == Hypothesis.AS_DESIGNED).mean() > least
     state = got.tracker.state
     scale = pytest.approx(sensor.noise_std / STD, rel=0.15)
-    assert sensor is UNIFORM or state["noise_scale"][0] == scale
+    assert sensor is UNIFORM or state["sensors"]["noise_scale"].item() == scale
     assert np.abs(likeliest(state)["theta"] - [0.2, 0.0]).max() < 0.03
     assert got.inside[25 * RATE :].mean() > 0.97
     assert got.claimed[25 * RATE :].mean() > 0.9

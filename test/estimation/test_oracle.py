@@ -209,7 +209,8 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
         before = state["hypotheses"][0]
         state, _ = observer.correct(state, [y])
         after = state["hypotheses"][0]
-        live, scale = np.flatnonzero(before["live"]), max(1.0, float(state["noise_scale"][0]))
+        live = np.flatnonzero(before["live"])
+        scale = max(1.0, state["sensors"]["noise_scale"].item())
         names = ("live", "kind", "age")  # an age that falls is that of one that begins again
         if len(live) > 1 and all((before[name] == after[name]).all() for name in names):
             scores = [one["score"] + likelihood(one, y, scale) for one in before[live]]

@@ -145,3 +145,16 @@ def test_a_hit_shows_in_an_output_that_is_a_speed() -> None:
     apart = np.abs(rows.state - hit.physical[0]) / rows.state_bound
     assert tracker.events["hits"] == 1
     assert (apart[seconds(5.05)] < 3.0).mean() > 0.97
+
+
+def test_a_sample_without_the_loud_output_leaves_the_bound_as_wide() -> None:
+    one = make_tracker(DESIGN).estimator
+    state, X = one.initial(), one.model["X"][0]
+    designed = state["hypotheses"][0, 0]  # as it would be some seconds later
+    designed["covariance"], designed["settling"], designed["certified"] = X, 0.0, 1
+    state["age"], state["sensors"]["noise_scale"] = 50.0, [[3.0, 1.0]]
+    after, _ = one.correct(state, [np.nan, 0.0])
+    assert not after["hypotheses"]["certified"][0, 0]
+    # The motor's angle hardly shows the link's velocity, whose bound was 3² X before.
+    assert after["hypotheses"]["covariance"][0, 0, 1, 1] > 0.9 * 3.0**2 * X[1, 1]
+    assert one.readout(after).noise_scale == 3.0

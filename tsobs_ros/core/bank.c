@@ -166,7 +166,7 @@ static void open_torque(const model *m, const state *at, const hypothesis *h)
 /* Return the error variance of a hypothesis' state. */
 static double variance_of(const model *m, const state *at, const hypothesis *h, long i)
 {
-    const double std = scale_of(at) * m->state_std[i];
+    const double std = scale_of(m, at) * m->state_std[i];
     return *h->certified != 0 ? std * std : maximum(h->covariance[i * (m->s.width + 1)], 0.0);
 }
 
@@ -365,9 +365,8 @@ static void count_repeats(const sensor *of, double y, const outlook *expected, d
 
 /* Under supervision, leave out the samples of stuck sensors, and track the noise by the innovations
  * of the best hypothesis. Return whether that hypothesis finds outliers. */
-static int examine(const model *m, state *at, correction *effect)
+static int examine(const model *m, const state *at, correction *effect)
 {
-    double scale = -INFINITY;
     int outliers = 0;
     for (long i = 0; i < m->s.p; i++) {
         sensor of = sensor_of(m, at, i);
@@ -380,11 +379,7 @@ static int examine(const model *m, state *at, correction *effect)
         } else if (isfinite(expected->innovation)) {
             scale_noise(m, &of, expected->innovation, m->innovation_variance[i]);
         }
-        scale = maximum(scale, *of.noise_scale);
         outliers = outliers || (effect->present[i] && !expected->used);
-    }
-    if (scale > 0.0) {
-        *at->noise_scale = scale;
     }
     return outliers;
 }
@@ -858,7 +853,7 @@ static void suppose_otherwise(const model *m, const state *at)
     const int seems_wrong = place == IMPERFECT && m->s.k > 0 && *best.age < 2.0 * c[AWAKE];
     const int tries_design = seems_wrong && count % 2 == 1;
     const long kind = tries_design ? AS_DESIGNED : (seems_wrong ? count / 2 : count) % STANDING;
-    const int is_likely = tries_design && !is_loud(m, scale_of(at));
+    const int is_likely = tries_design && !is_loud(m, scale_of(m, at));
     const double score = *best.score - (is_likely ? 0.0 : 0.5 * c[FLOOR]);
     const long free = place_for(m, at, -INFINITY);
     const int is_input = place == FORCE && *m->design_flow.kind == KIND_SYSTEM;

@@ -45,9 +45,13 @@ static inline double noise_of(const model *m, const state *at, long output)
 }
 
 /* Return the largest such size of all outputs. */
-static inline double scale_of(const state *at)
+static inline double scale_of(const model *m, const state *at)
 {
-    return maximum(*at->noise_scale, 1.0);
+    double scale = 1.0;
+    for (long i = 0; i < m->s.p; i++) {
+        scale = maximum(scale, noise_of(m, at, i));
+    }
+    return scale;
 }
 
 /* Return the likeliest hypothesis. */

@@ -199,7 +199,6 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(VECTOR, settled_theta, s->k, 1) /* the design's parameters when the bank woke last */        \
     F(MATRIX, settled_gamma, s->k, s->k) /* covariance of the errors of settled_theta */           \
     F(MATRIX, sensors, s->p, sensor_size(s)) /* memory of each output */                           \
-    F(NUMBER, noise_scale, 1, 1)    /* largest noise_scale of the sensors */                       \
     F(NUMBER, since, 1, 1)          /* time since the last sample [s] */                           \
     F(NUMBER, age, 1, 1)            /* time since the start [s] */                                 \
     F(VECTOR, centre, s->plant, 1)  /* mean of the plant's states over some seconds */             \

@@ -51,7 +51,7 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
 {
     const long n = m->s.n, width = m->s.width;
     const double *bound = *h->corrected != 0 ? m->posterior : m->X;
-    const double square = scale_of(at) * scale_of(at);
+    const double square = scale_of(m, at) * scale_of(m, at);
     if (*h->certified == 0) {
         return;
     }

@@ -160,7 +160,7 @@ static double read_one(
         const double own_value = value_of(m, at, &h, what, place, &variance, scratch->functional);
         double own = *m->gain_mode == GAIN_OPEN ? least : sqrt(variance);
         if (*h.certified != 0) {
-            own = least * scale_of(at) * (*at->late != 0 ? *m->late_factor : 1.0);
+            own = least * scale_of(m, at) * (*at->late != 0 ? *m->late_factor : 1.0);
         }
         for (long a = 0; a < k; a++) {
             const double moved = h.theta[a] + h.pending[a] - h.anchor[a];
@@ -229,7 +229,7 @@ int read_out(const model *m, const state *at, const estimate *row, work *scratch
             scratch, count);
     }
     *row->basis = (double)basis_of(m, &best, named, row->claimed);
-    *row->noise_scale = scale_of(at);
+    *row->noise_scale = scale_of(m, at);
     *row->coloured_power = *best.colour;
     total += *row->noise_scale + *row->coloured_power;
     *row->learning = m->s.k > 0 ? LEARNING_ACTIVE : LEARNING_NONE;

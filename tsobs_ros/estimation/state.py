@@ -93,7 +93,7 @@ def new_model(
     model["constants"] = [value for _, value, _ in native.BANK_CONSTANTS]
     initial = model["initial"]
     initial["sensors"]["value"] = np.nan
-    initial["sensors"]["noise_scale"] = initial["noise_scale"] = 1.0
+    initial["sensors"]["noise_scale"] = 1.0
     initial["torque_age"] = np.inf
     initial["past"][..., 1] = np.inf
     designed = initial["hypotheses"][:, 0]
