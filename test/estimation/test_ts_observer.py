@@ -53,6 +53,23 @@ def test_adaptation_finds_the_true_parameter(pendulum: Design) -> None:
     np.testing.assert_allclose(last.disturbance, [0.0, 0.05], atol=0.01)
 
 
+def test_a_sample_teaches_the_less_the_more_innovations_are_alike(pendulum: Design) -> None:
+    """In slow systems the averages are of few innovations, and their ratio may be any."""
+    observer = pendulum.observer(1.0, adapt=True)
+    run = simulated(pendulum, 1, 301, initial_state=(0.5, 0.0))
+    tracker = Tracker(observer)
+    stamps = 10**9 + np.round(1e9 * run.times[:300]).astype(np.int64)
+    tracker.follow(stamps, run.measurements[0, :300], run.torques[0, :300])
+    state = observer.predict(tracker.state, run.torques[0, 299], observer.period)
+    learnt = []
+    for colour in (0.0, 0.9, 1.3, 4.0):
+        state["hypotheses"]["nis"], state["hypotheses"]["colour"] = 1.0, colour
+        after, _ = observer.correct(state, run.measurements[0, 300])
+        gammas = [each["hypotheses"]["gamma"][0, 0, 0, 0] for each in (state, after)]
+        learnt.append(gammas[0] - gammas[1])
+    assert learnt[0] > learnt[1] > learnt[2] == learnt[3] > 0.0
+
+
 @pytest.mark.parametrize(
     ("fault", "outputs"),
     [("jump", [0]), ("jump", [1]), ("gap", [0]), ("gap", [1]), ("gap", [0, 1])],

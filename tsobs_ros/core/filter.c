@@ -166,8 +166,9 @@ static void track_innovations(
 static double inflation_of(const model *m, const hypothesis *h)
 {
     const long n = m->s.n, width = m->s.width;
+    /* At periods near a second, the averages are of a few innovations, and may be beyond 1. */
     const double alike
-        = maximum(*h->colour / maximum(*h->nis, 1.0) - 3.0 * sqrt(0.5 * *m->period), 0.0);
+        = clip(*h->colour / maximum(*h->nis, 1.0) - 3.0 * sqrt(0.5 * *m->period), 0.0, 0.99);
     double inflation = 1.0;
     if (*h->certified == 0) {
         double total = 0.0;
