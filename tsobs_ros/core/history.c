@@ -377,7 +377,7 @@ void tsobs_advance(
         offer_some(t, given, done, known, ticks->now[tick], written);
         done = known;
         ticks->newest[tick] = newest_stamp(t);
-        ticks->there[tick] = ticks->newest[tick] > 0
+        ticks->there[tick] = ticks->newest[tick] > 0 && stamp > 0 /* else no estimate is that old */
                              && stamp - ticks->newest[tick] <= stale_after
                              && tsobs_estimate_at(t, stamp, ticks->rows + tick * width);
     }
