@@ -132,16 +132,15 @@ static int64_t refusal(
     return place >= 0 && stamp_at(t, place) == stamp ? DUPLICATE : USED;
 }
 
-/* Start over from the initial state, but keep the counts. */
+/* Start over from the initial state, but keep the state's counts, which are neighbours. */
 static void restart(tracker *t, double *numbers, state *at, int failed)
 {
-    const int64_t restarts = *at->restarts + 1, failures = *at->failures + failed;
-    int64_t judged[OUTCOMES];
-    memcpy(judged, at->judged, sizeof judged);
+    int64_t counts[1 + (OTHERWISE + 1) + OUTCOMES + 2];
+    memcpy(counts, at->outliers, sizeof counts);
     copy_state(&t->m, t->m.initial, numbers);
-    memcpy(at->judged, judged, sizeof judged);
-    *at->restarts = restarts;
-    *at->failures = failures;
+    memcpy(at->outliers, counts, sizeof counts);
+    *at->restarts += 1;
+    *at->failures += failed;
 }
 
 /* Correct a state by a measurement; return whether innovations and their variances are finite. */
