@@ -57,20 +57,17 @@ enum { FEW = 9 };
     default: call(__VA_ARGS__, n);                                                  \
     }
 
-/* Write the sum of the rows of b (count, columns), each multiplied by its factor. Rows with a
- * factor of 0 are skipped unless `all` is set, as most entries of a state map are 0. */
+/* Write the sum of the rows of b (count, columns), each multiplied by its factor. */
 static inline void combine(
-    const double *factors, const double *b, long b_width, double *restrict result, int all,
-    long count, long columns)
+    const double *factors, const double *b, long b_width, double *restrict result, long count,
+    long columns)
 {
     double few[FEW], *row = columns <= FEW ? few : result;
     for (long j = 0; j < columns; j++) {
         row[j] = 0.0;
     }
     for (long k = 0; k < count; k++) {
-        if (all || factors[k] != 0.0) {
-            add_scaled(row, factors[k], b + k * b_width, columns);
-        }
+        add_scaled(row, factors[k], b + k * b_width, columns);
     }
     for (long j = 0; j < columns; j++) {
         result[j] = row[j];
@@ -82,7 +79,7 @@ static inline void multiply(
     const double *a, const double *b, double *result, long rows, long inner, long columns)
 {
     for (long i = 0; i < rows; i++) {
-        combine(a + i * inner, b, columns, result + i * columns, 1, inner, columns);
+        combine(a + i * inner, b, columns, result + i * columns, inner, columns);
     }
 }
 
@@ -91,22 +88,12 @@ static inline void multiply(
 static inline void congruence(
     const double *a, double *s, long s_width, const double *added, long count, double *half, long n)
 {
-    double trace = 0.0;
     for (long i = 0; i < n; i++) {
-        trace += s[i * (s_width + 1)];
-    }
-    const int all = !isfinite(trace); /* then 0 times s is NaN, and must not be skipped */
-    for (long i = 0; i < n; i++) {
-        combine(a + i * n, s, s_width, half + i * n, all, n, n);
+        combine(a + i * n, s, s_width, half + i * n, n, n);
     }
     for (long j = 0; j < n; j++) {
-        const double *row = a + j * n;
-        long first = 0;
-        while (!all && first < n && row[first] == 0.0) {
-            first++;
-        }
         for (long i = 0; i <= j; i++) {
-            const double value = dot(row + first, half + i * n + first, n - first);
+            const double value = dot(a + j * n, half + i * n, n);
             s[i * s_width + j] = s[j * s_width + i]
                 = j < count ? value + added[i * count + j] : value;
         }

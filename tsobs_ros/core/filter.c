@@ -83,7 +83,7 @@ static outlook expect(
         of.known = scale * scale * m->innovation_variance[i];
         return of;
     }
-    combine(row, h->covariance, width, crossed, 0, used, used);
+    combine(row, h->covariance, width, crossed, used, used);
     of.known = dot(row, crossed, used) + m->R[i * p + i] * (scale * scale * factor);
     return of;
 }

@@ -110,8 +110,8 @@ static void kick_arm(
 /* Replace M (n, n) by K M, where K is I with `rows` (2, n) added to its rows of x_2 and x_4. */
 static void shear_rows(long n, const double *rows, double *changes, double *M)
 {
-    combine(rows, M, n, changes, 0, n, n);
-    combine(rows + n, M, n, changes + n, 0, n, n);
+    combine(rows, M, n, changes, n, n);
+    combine(rows + n, M, n, changes + n, n, n);
     add_scaled(M + n, 1.0, changes, n);
     add_scaled(M + 3 * n, 1.0, changes + n, n);
 }
