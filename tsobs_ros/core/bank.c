@@ -159,7 +159,6 @@ static void open_torque(const model *m, const state *at, const hypothesis *h)
     if (*at->torque_unknown != 0) {
         spread = maximum(minimum(*m->torque_rate * *at->torque_age, *m->torque_spread), spread);
     }
-    leave_certified(m, at, h, BASIS_GAP);
     h->covariance[m->s.n * (m->s.width + 1)] += spread * spread;
 }
 
