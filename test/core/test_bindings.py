@@ -20,10 +20,12 @@ from tsobs_ros.core import native
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import load_design
+from tsobs_ros.estimation.baselines import open_estimator
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.state import numbers_of as numbers
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_estimator
+from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 DESIGN = load_design(config_path(FIXED_DESIGN))
@@ -161,6 +163,17 @@ def test_a_model_of_other_sizes_is_refused(place: int) -> None:
         model["sizes"][0, place] = value
         with pytest.raises(ValueError, match="tracker_room: expected a model's record"):
             native.tracker_room(numbers(model), 8)
+
+
+def test_a_model_that_limits_a_torque_but_has_none_is_refused() -> None:
+    free = open_estimator(
+        -np.ones((1, 1, 1)), zeros(1, 1, 1), zeros(1, 1, 0), period=0.01, scale=np.ones(1),
+        rule_base=RuleBase(((membership("always"),),)), C=np.eye(1), R=np.eye(1),
+    )  # fmt: skip
+    native.tracker_room(numbers(free.model), 8)
+    free.model["torque_limit"] = 1.0
+    with pytest.raises(ValueError, match="tracker_room: expected a model's record of numbers that"):
+        native.tracker_room(numbers(free.model), 8)
 
 
 def test_outcomes_have_the_codes_of_the_reasons() -> None:

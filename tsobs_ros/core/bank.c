@@ -77,6 +77,7 @@ const char *model_view(double *memory, size_t length, model *view)
     const state initial = state_view(s, view->initial);
     if (!(*view->period >= SHORTEST) || (*view->supervised != 0 && s->hypotheses == 1)
         || (*view->torque_rate > 0.0 && s->width == s->n)
+        || (s->m == 0 && (*view->torque_limit > 0.0 || *view->design_flow.kind == KIND_ARM))
         || (*view->at_link != 0 && *view->design_flow.kind != KIND_ARM)
         || !state_is_sound(view, &initial)) {
         return "expected a model's record of numbers that belong together";
