@@ -166,8 +166,9 @@ static void open_torque(const model *m, const state *at, const hypothesis *h)
 /* Return the error variance of a hypothesis' state. */
 static double variance_of(const model *m, const state *at, const hypothesis *h, long i)
 {
-    const double std = scale_of(m, at) * m->state_std[i];
-    return *h->certified != 0 ? std * std : maximum(h->covariance[i * (m->s.width + 1)], 0.0);
+    const long diagonal = i * (m->s.width + 1);
+    const double std = scale_of(m, at) * sqrt(m->X[diagonal]);
+    return *h->certified != 0 ? std * std : maximum(h->covariance[diagonal], 0.0);
 }
 
 /* --- copies --- */

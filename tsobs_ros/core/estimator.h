@@ -311,7 +311,6 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(MATRIX, rate_map, s->p, s->width) /* map from states to rates of disturbances */            \
     F(MATRIX, torque_map, s->t, s->width) /* map from states to unknown torques */                \
     F(COUNTS, disturbed, s->p, 1)    /* whether an output's disturbance can stay after a jump */  \
-    F(VECTOR, state_std, s->width, 1) /* certified 1 sigma of the states */                       \
     F(VECTOR, disturbance_std, s->p, 1) /* certified 1 sigma of the disturbances */               \
     F(VECTOR, torque_std, s->t, 1)   /* certified 1 sigma of the unknown torques */               \
     F(VECTOR, domain, s->plant, 1)   /* 1 sigma of the plant's states if nothing is known */      \

@@ -203,8 +203,8 @@ int read_out(const model *m, const state *at, const estimate *row, work *scratch
     double total = 0.0;
     for (long i = 0; i < m->s.plant; i++) {
         total += read_one(
-            m, at, STATE, i, m->state_std[i], m->scale[i], row->state + i, row->state_bound + i,
-            scratch, count);
+            m, at, STATE, i, sqrt(m->X[i * (m->s.width + 1)]), m->scale[i], row->state + i,
+            row->state_bound + i, scratch, count);
     }
     for (long i = 0; i < m->s.p; i++) {
         total += read_one(

@@ -384,7 +384,6 @@ def certified_estimator(
         ("P", inverse(X)),
         ("posterior", joseph(C, R, X, K)),
         ("innovation_variance", congruent(C, X, R).diagonal()),
-        ("state_std", np.sqrt(X.diagonal())),
         ("disturbance_std", np.sqrt(np.maximum(congruent(H, X).diagonal(), 0.0))),
         ("torque_std", np.sqrt(np.maximum(congruent(T, X).diagonal(), 0.0))),
     ):
