@@ -175,7 +175,7 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(COUNT, significant, 1, 1)   /* whether changes of theta are used at once */                  \
     F(VECTOR, anchor, s->k, 1)    /* theta when the present pass of learning began */              \
     F(NUMBER, pass_age, 1, 1)     /* time since the present pass began [s] */                      \
-    F(NUMBER, size, 1, 1)         /* 1 sigma: of a tone, of a drift relative to the noise, or of */ \
+    F(NUMBER, size, 1, 1)         /* 1 sigma: of a tone, of a drift relative to the noise, of */   \
                                   /* an unknown torque or input relative to the model's `force` */ \
     F(COUNT, output, 1, 1)        /* output that has the tone */
 LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
