@@ -130,7 +130,8 @@ class Ticker:
             self._schedule(self._period_ns if wait is None else min(wait, self._period_ns))
 
     def _schedule(self, wait: int) -> None:
-        self._timer.timer_period_ns = self._scheduled = max(wait, 1)
+        # 0 is due at once, also while simulated time stands still.
+        self._timer.timer_period_ns = self._scheduled = max(wait, 0)
         self._timer.reset()
 
 

@@ -57,6 +57,11 @@ def test_without_subscribers_it_starts_after_the_timeout(ros: Any) -> None:
     ros.spin_until(lambda: node.finished, what="a run without subscribers")
 
 
+def test_a_pace_beyond_the_machine_leaves_services_answered(ros: Any, listener: Any) -> None:
+    start(ros, "plant_simulator", rate=5000.0, publish_clock=True, real_time_factor=1000.0)
+    assert all(listener.reset().success for _ in range(5))
+
+
 def test_driven_clock_starts_at_one_second_leads_the_samples_and_stands_still_with_the_arm(
     ros: Any, listener: Any, manage: Callable[[Any], Any]
 ) -> None:

@@ -54,6 +54,8 @@ from tsobs_ros.simulation.plant import Plant, Scenario, Trajectories
 
 # A process that was stopped for longer must not flood its subscribers when it continues.
 _LONGEST_LAG = NANOSECONDS
+# Longest time of catching up without a break, while services and signals wait [s].
+_MAX_BURST = 0.02
 # The system clock may be slewed a little; simulated time never goes back unless it restarts.
 _SLEW_MARGIN = NANOSECONDS
 # Driven time starts here: a zero stamp means "no time" to most of ROS.
@@ -273,7 +275,10 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self._schedule.start(now)
         self._commands.take(self._index)
         self._latest = now = self._limit_lag(now)
+        burst_end = time.monotonic() + _MAX_BURST
         while not self._is_over and now >= self._schedule.due:
+            if time.monotonic() >= burst_end:
+                return 0
             torques = self._commands.at(self._index)
             samples = [plant.step(u) for plant, u in zip(self._plants, torques, strict=True)]
             self._publish_sample(self._schedule.take(), samples)
