@@ -63,7 +63,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         **node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
 
     Attributes:
-        parameters: The current parameters; the same object until a change is accepted.
+        parameters: The current parameters; the same object until it is changed or configured.
         active: Whether the node works.
         done: Whether its work has ended, until it is configured again.
         steady: A clock that is never set, for timers.
@@ -310,9 +310,13 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return SetParametersResult(successful=True)
 
     def _take_set(self, accepted: Sequence[Parameter]) -> None:
-        before, self.parameters = values_of(self.parameters), updated(self.parameters, accepted)
-        if self.configured and values_of(self.parameters) != before:
-            self.retune(self.parameters)
+        before, self.parameters = self.parameters, updated(self.parameters, accepted)
+        if self.configured and values_of(self.parameters) != values_of(before):
+            try:
+                self.retune(self.parameters)
+            except Exception:
+                self.parameters = before
+                raise
 
     def _attempt(self, what: str, step: Callable[[], None]) -> TransitionCallbackReturn:
         """Take a step; log its error, unless `start` is going to raise it."""

@@ -8,11 +8,14 @@ from pathlib import Path
 from textwrap import indent
 from typing import Any
 
+import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from staging import start, to_stamp
 
 from tsobs_ros.errors import ParameterError
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Friction, Payload, SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Constant, Pulses, Ramp
@@ -182,3 +185,36 @@ def test_a_file_s_torques_are_played_and_end_in_none_or_are_refused(
     file.write_text("time,torque\n0,1\n0.01,nan\n")
     with pytest.raises(ParameterError, match="line 3: expected a time and a finite torque"):
         start(listener.ros, "plant_simulator", signals=[f"torque: {{kind: file, file: {file}}}"])
+
+
+def test_files_are_read_again_only_by_another_configuration(
+    ros: Any, manage: Callable[[Any], Any], tmp_path: Path
+) -> None:
+    design, file = tmp_path / "arm.design.yaml", tmp_path / "motion.csv"
+    design.write_bytes(config_path(SHIPPED_DESIGN).read_bytes())
+    file.write_text("time,torque\n0,1\n")
+    signals = [f"torque: {{kind: file, file: {file}}}"]
+    node = start(ros, "plant_simulator", design=str(design), signals=signals)
+    for each in (design, file):
+        each.write_text("half of it")
+    (found,) = node.set_parameters([Parameter("noise_factor", value=2.0)])
+    assert found.successful
+    (found,) = node.set_parameters([Parameter("signals", value=[f"{signals[0]} "])])
+    assert "motion.csv" in found.reason
+    manager = manage(node)
+    assert manager.change("deactivate", "cleanup")
+    assert not manager.change("configure")
+    design.write_bytes(config_path(SHIPPED_DESIGN).read_bytes())
+    file.write_text("time,torque\n0,2\n")
+    assert manager.change("configure")
+    assert node.parameters.noise_factor == 2.0
+    (scenario,) = node.parameters.scenarios.values()
+    assert scenario.inputs[0].values(np.zeros(1)) == 2.0
+
+
+def test_a_change_that_cannot_be_applied_leaves_the_parameters(ros: Any, monkeypatch: Any) -> None:
+    node = start(ros, "plant_simulator")
+    with monkeypatch.context() as patch, pytest.raises(TypeError):
+        patch.setattr(node, "retune", None)
+        node.set_parameters([Parameter("noise_factor", value=2.0)])
+    assert node.parameters.noise_factor == 1.0

@@ -22,6 +22,7 @@ services:
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -188,7 +189,8 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def configure(self) -> None:
         """Create the plant at t = 0, its topics and its services."""
-        parameters = self.parameters
+        self.parameters = parameters = replace(self.parameters)  # reads what was forgotten
+        self.at_cleanup(lambda: self.parameters.files.clear())
         self._publish_sample = SamplePublisher(self)
         self._commands = TorqueCommands(self)
         self.offer_triggers({"reset": self._reset})

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from functools import cached_property, partial
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from tsobs_ros.simulation.plant import Friction, Mismatch, Payload, Scenario, Sy
 from tsobs_ros.simulation.sensor import Sensor, sensor_numbers
 from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Signal, parse_kinds, signal_of
 from tsobs_ros.yaml_files import load_yaml
+
+T = TypeVar("T")
 
 Readers = Mapping[str, Callable[[Any], Any]]
 """Names that entries may use for one joint, each with the function that reads the value."""
@@ -99,6 +101,9 @@ _EXCITATION = _kinds(
 class PlantSimulatorParameters(JointParameters):
     """All parameters of the node; `design` and `joint_designs` may name requests, too.
 
+    Attributes:
+        files: What was read of the files that parameters name; others may change without reading.
+
     Raises:
         TsobsError: They do not describe a plant, or a file cannot be used.
     """
@@ -156,14 +161,23 @@ class PlantSimulatorParameters(JointParameters):
         1.0, "Factor on the designed standard deviation of the noise", minimum=0.0
     )
     sensor: Sensor = field(default_factory=Sensor)
+    files: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "files", dict(self.files))
         _ = self.scenarios
+
+    def _kept(self, what: str, named: Any, read: Callable[[], T]) -> T:
+        """Return what was read before if it was named by equal parameters, else read it."""
+        if what not in self.files or self.files[what][0] != named:
+            self.files[what] = named, read()
+        found: T = self.files[what][1]
+        return found
 
     @cached_property
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
         """The request of each joint."""
-        return self.read(request_in)
+        return self._kept("requests", self.design_of, partial(self.read, request_in))
 
     @property
     def sample_rate(self) -> float:
@@ -178,17 +192,22 @@ class PlantSimulatorParameters(JointParameters):
             ModelError: They do not describe a plant.
             ParameterError: An entry of a list names no signal of the joints.
         """
-        signals = self._by_joint("signals", _signals)
+        named = self.signals, self.design_of
+        signals = self._kept("signals", named, partial(self._by_joint, "signals", _signals))
+        excitation = self._kept("excitation", self.excitation, self._excitation)
         changes = self._by_joint("joint_mismatch", _changes)
         states = self._initial_states()
         return {
-            joint: self._scenario(request, changes[joint], signals[joint], states[joint])
+            joint: self._scenario(
+                request, excitation, changes[joint], signals[joint], states[joint]
+            )
             for joint, request in self.requests.items()
         }
 
     def _scenario(
         self,
         request: ArmRequest | TSRequest,
+        excitation: Signal,
         changes: Mapping[str, list[float]],
         signals: Mapping[str, list[Any]],
         state: tuple[float, ...],
@@ -202,9 +221,6 @@ class PlantSimulatorParameters(JointParameters):
         kinds = parse_kinds(self.disturbance.kind)
         faults = [values_of(self.sensor), *(getattr(self.disturbance, kind) for kind in kinds)]
         of_outputs = {name: [*faults, *signals.get(name, ())] for name in request.output_names}
-        excitation = getattr(self.excitation, self.excitation.kind, Signal())
-        if isinstance(excitation, str):
-            excitation = TorqueFile(excitation)
         return scenario_of(
             request,
             mismatch,
@@ -215,6 +231,10 @@ class PlantSimulatorParameters(JointParameters):
             process_noise_factor=self.process_noise_factor,
             **others,
         )
+
+    def _excitation(self) -> Signal:
+        found: Signal | str = getattr(self.excitation, self.excitation.kind, Signal())
+        return TorqueFile(found) if isinstance(found, str) else found
 
     def _initial_states(self) -> dict[str, tuple[float, ...]]:
         sizes = {joint: len(each.state_names) for joint, each in self.requests.items()}
