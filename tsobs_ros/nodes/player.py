@@ -12,6 +12,7 @@ services, std_srvs/srv/Trigger:
   ~/resume            continue from there
 """
 
+import math
 import sys
 import time
 from collections.abc import Iterable
@@ -36,7 +37,7 @@ from rosgraph_msgs.msg import Clock
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import QosProfile, QosTime, TopicInfo
 from tsobs_ros.bag.playback import Playback, read_passes
-from tsobs_ros.bag.reader import UNCHECKED, BagReader
+from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.errors import BagWriteError, NodeError, ParameterError
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
@@ -61,6 +62,7 @@ _SETTLING = 200_000_000
 # Depth of ROS's default profile, for latched publishers of unknown depth; and depth of the others,
 # that is, how many messages may wait for slow reliable subscribers.
 _USUAL_DEPTH, _DEPTH = 10, 1000
+_HEADER_SIZE = 4  # of a message in CDR [bytes]
 _FOREVER = 2**63 - 1
 
 CLOCK = "/clock"
@@ -76,7 +78,7 @@ class PlayerParameters(SelectingParameters):
     )
     loop: bool = live_setting(False, "Start again at the end")
     start_offset: float = setting(
-        0.0, "Start of each pass, from the bag's start", unit="s", minimum=0.0
+        0.0, "Start of each pass, from the bag's start", unit="s", minimum=0.0, maximum=1e9
     )
     start_paused: bool = setting(False, "Start in a pause")
     clock: float = setting(
@@ -227,8 +229,7 @@ class Player(ManagedNode[PlayerParameters]):
         held_back = playback.held_back
         while now < burst_end and (event := playback.take(now)) is not None:
             if event.message is not None:
-                self._played[event.message.topic].publish(event.message.data)
-                self._counts[event.message.topic] += 1
+                self._publish(event.message)
             else:
                 self._clock_publisher.publish(clock_message(event.time))
             now = time.monotonic_ns()
@@ -240,6 +241,19 @@ class Player(ManagedNode[PlayerParameters]):
             )
         self.done = playback.ended
         return playback.wait(now)
+
+    def _publish(self, message: BagMessage) -> None:
+        """Publish a message; leave out what no message of its type is, with a warning per topic."""
+        name = message.topic
+        try:
+            if (size := len(message.data)) < _HEADER_SIZE:  # subscribers wait for it for ever
+                raise NodeError(f"expected at least {_HEADER_SIZE} bytes, got {size}")
+            self._played[name].publish(message.data)
+            self._counts[name] += 1
+        except RuntimeError as error:  # rclpy does not export its own
+            if self.is_due(f"unfit {name}", math.inf):
+                unfit = f"leaving out messages of {name} that do not fit {message.type}"
+                self.log(Level.WARN, f"{unfit}: {error}")
 
     def _may_start(self, now: int) -> bool:
         """Return whether enough subscribers are there and settled, or the wait is over."""

@@ -115,6 +115,27 @@ def test_what_cannot_be_published_is_left_out_with_a_warning_that_commands_no_te
         assert reason in line
 
 
+def test_messages_that_do_not_fit_their_type_are_left_out(
+    ros: Any, play: Play, listener: Any, tmp_path: Path, capfd: Any
+) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic, kind in (("/a", STRING), ("/number", "std_msgs/msg/Int32")):
+            writer.add_topic(topic, kind, [QosProfile()])
+        for k, data in enumerate([data_of("a0"), b"", b"\0\1", data_of("a1")]):
+            writer.write("/a", data, START + k, START)
+        for k, size in enumerate([4, 104, 104, 4]):
+            writer.write("/number", b"\0\1\0\0" + bytes(size), START + k, START)
+    listener.listen("/a")
+    player = play(tmp_path / "bag")
+    ros.spin_until(lambda: player.finished and len(listener.heard) == 2, what="the end")
+
+    assert listener.texts() == texts(0, 2)
+    assert player.messages == 4
+    printed = capfd.readouterr().err
+    assert printed.count("leaving out messages of ") == 2
+    assert "leaving out messages of /a that do not fit std_msgs/msg/String: expected" in printed
+
+
 BEST_EFFORT = QosProfile(reliability="best_effort")
 LATE = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RELIABLE = ("reliable", "volatile", 1000)
