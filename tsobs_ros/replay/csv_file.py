@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from decimal import Decimal
+from io import TextIOWrapper
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array, shown
 from tsobs_ros.errors import LogError
-from tsobs_ros.files import naming_path
+from tsobs_ros.files import naming_path, open_regular
 from tsobs_ros.series import NANOSECONDS, Stamps
 
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -176,7 +177,7 @@ class CsvFile:
 
     def _lines(self) -> Iterator[str]:
         """Yield the lines; a comment becomes an empty line."""
-        with self._path.open(encoding="utf-8-sig", newline="") as stream:
+        with TextIOWrapper(open_regular(self._path), "utf-8-sig", newline="") as stream:
             lines = iter(lambda: stream.readline(MAX_LINE + 1), "")
             for number, line in enumerate(lines, 1):
                 if len(line) > MAX_LINE:

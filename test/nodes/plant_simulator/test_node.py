@@ -3,6 +3,7 @@
 """The simulator publishes its core's numbers bit for bit, at exact stamps, by any clock."""
 
 import itertools
+import os
 from collections.abc import Callable
 from pathlib import Path
 from textwrap import indent
@@ -184,6 +185,10 @@ def test_a_file_s_torques_are_played_and_end_in_none_or_are_refused(
 
     file.write_text("time,torque\n0,1\n0.01,nan\n")
     with pytest.raises(ParameterError, match="line 3: expected a time and a finite torque"):
+        start(listener.ros, "plant_simulator", signals=[f"torque: {{kind: file, file: {file}}}"])
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(ParameterError, match=r"motion.csv: cannot read it: not a regular file"):
         start(listener.ros, "plant_simulator", signals=[f"torque: {{kind: file, file: {file}}}"])
 
 
