@@ -113,7 +113,11 @@ class PlantSimulatorParameters(JointParameters):
     )
     seed: int = live_setting(0, "Seed of everything random, used from the next reset on", minimum=0)
     duration: float = setting(
-        0.0, "Simulated time after which the process ends; 0: never", unit="s", minimum=0.0
+        0.0,
+        "Simulated time after which the process ends; 0: never",
+        unit="s",
+        minimum=0.0,
+        maximum=1e9,
     )
     wait_for_subscribers: int = setting(
         0, "Subscriptions of joint_measurements to wait for before t = 0", minimum=0
@@ -126,7 +130,11 @@ class PlantSimulatorParameters(JointParameters):
         1.0, "Pace of the simulated time when publish_clock is set", minimum=0.001, maximum=1000.0
     )
     command_timeout: float = live_setting(
-        0.5, "How long a torque command holds; 0: until the next one", unit="s", minimum=0.0
+        0.5,
+        "How long a torque command holds; 0: until the next one",
+        unit="s",
+        minimum=0.0,
+        maximum=1e9,
     )
     torque_limit: float = live_setting(
         100.0, "Commands of arms saturate at plus and minus this torque", unit="N m", minimum=0.0

@@ -54,7 +54,7 @@ class RecorderParameters(SelectingParameters):
         0.5, "Age from which messages survive a kill", unit="s", minimum=0.01, maximum=10
     )
     sync_period: float = setting(
-        5.0, "Age from which messages survive a power cut", unit="s", minimum=0.1
+        5.0, "Age from which messages survive a power cut", unit="s", minimum=0.1, maximum=1e6
     )
     queue_depth: int = setting(
         5000, "Messages of a topic that may wait to be drained", minimum=1, maximum=5000
