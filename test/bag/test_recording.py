@@ -54,7 +54,7 @@ def kept(*arrivals: tuple[str, int | None, int]) -> list[int]:
     latched = LatchedMessages()
     for k, (_, number, publishers) in enumerate(arrivals):
         latched.keep(message("/x", k, EMPTY, number, publishers))
-    return [m.publish_time_ns for m in latched.before(1000)]
+    return [m.publish_time_ns for m in latched.others()]
 
 
 @pytest.mark.parametrize(
@@ -81,6 +81,21 @@ def test_no_publishers_last_message_is_missing_however_they_take_turns(order: li
     arrivals = [(who, order[: k + 1].count(who), 3) for k, who in enumerate(order)]
     last = {who: k for k, who in enumerate(order)}
     assert set(last.values()) <= set(kept(*arrivals))
+
+
+def test_a_file_has_what_is_latched_even_if_log_times_stand_still_or_go_back(
+    tmp_path: Path,
+) -> None:
+    with begin(tmp_path / "bag") as recording:
+        recording.record(message("/map", 5, EMPTY, 1, 1))
+        for time in (5, 3):
+            recording.split()
+            recording.record(message("/a", time))
+        recording.split()
+        recording.record(message("/map", 3, EMPTY, 2, 1))
+    files = [stored(file) for file in sorted((tmp_path / "bag").glob("*.mcap"))]
+    assert files[1:] == [[("/map", 5, 5), ("/a", 5, 5)], [("/map", 3, 5), ("/a", 3, 3)],
+                         [("/map", 3, 3)]]  # fmt: skip
 
 
 def test_syncing_while_a_bag_is_written_split_and_closed_does_no_harm(tmp_path: Path) -> None:

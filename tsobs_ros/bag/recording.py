@@ -75,7 +75,7 @@ class Recording(BagWriter):
             self._latched.keep(message)
         self._make_room(message.log_time_ns)
         if self.file_count > 1 and not self._file.message_count:
-            for each in self._latched.before(message.log_time_ns):
+            for each in self._latched.others(message):
                 self.write(each.topic, each.data, message.log_time_ns, each.publish_time_ns)
         self.counts[message.topic] += 1
         self.bytes += len(message.data)
@@ -120,8 +120,8 @@ class LatchedMessages:
             kept[:] = [other for other in kept if other.number != number - 1]
         del kept[: max(0, len(kept) - _MAX_PUBLISHERS)]
 
-    def before(self, log_time_ns: int) -> list[Received]:
-        """Return the kept messages logged before a time [ns], in order of publication."""
+    def others(self, last: Received | None = None) -> list[Received]:
+        """Return the kept messages but the last one, in order of publication."""
         kept = (message for each in self._topics.values() for message in each)
-        found = [message for message in kept if message.log_time_ns < log_time_ns]
+        found = [message for message in kept if message is not last]
         return sorted(found, key=attrgetter("publish_time_ns"))
