@@ -127,6 +127,9 @@ def test_a_lost_estimate_leaves_the_truth_and_nothing_else(
     both = {f"{name}_link": 1.0, f"{name}_motor": 1.0}
     scene = publisher.scene_of(has(("truth", 0), ("estimate", 0)), both, {}, both)
     check_shown(scene["label", 0].text)
-    unknown = {**both, f"{name}_link": math.nan}
-    scene = publisher.scene_of(lambda each: ("estimate", 0) not in each, unknown, {}, both)
-    assert {kind for kind, _ in scene} == {"truth", "motor", "spring", "label"}
+    for unknown in (math.nan, 1.7e308):
+        publisher.scene_of(has(("estimate", 0)), both, dict.fromkeys(both, -1e308), both)
+        scene = publisher.scene_of(
+            lambda each: ("estimate", 0) not in each, {**both, f"{name}_link": unknown}, {}, both
+        )
+        assert {kind for kind, _ in scene} == {"truth", "motor", "spring", "label"}

@@ -39,6 +39,7 @@ from tsobs_ros.style import BLUE, GREEN, GRID, MUTED, ORANGE, RED
 
 _WANTED = (topics.TRUE_STATES, topics.STATES, topics.STATE_BOUNDS)
 _LINK, _ = topics.sides("")
+_MAX_ANGLE = 1e6  # drawn, of which a point on a circle says something [rad]
 _LIFETIME = 1  # time for which markers are drawn, and messages are used [s]
 
 _COLOUR_OF = {Level.OK: BLUE, Level.WARN: ORANGE, Level.ERROR: RED, Level.STALE: MUTED}
@@ -145,7 +146,7 @@ def _markers(arm: Arm, pen: _Pen) -> Iterator[Marker]:
         yield from _sides("estimate", arm.estimate, pen, _colour(colour, _GHOST), 1.4)
         for number, bound in enumerate(arm.bound or ()):
             what, area = ("bound", number, Marker.TRIANGLE_LIST), (1.0 / pen.unit,) * 3
-            half = min(_SIGMAS * bound, math.pi)
+            half = min(_SIGMAS * abs(bound), math.pi)
             points = _sector(arm.estimate[number], half, _DIALS[number], pen)
             yield pen.draw(what, _colour(colour, 0.7), area, points=points)
     lines = [arm.name, f"sensor fault: {arm.fault}"]
@@ -228,9 +229,9 @@ class Visualizer(ManagedNode[VisualizerParameters]):
 
 
 def _angles(positions: dict[str, float], joint: str) -> Angles | None:
-    """Return the positions of a joint's sides; None if they are not both known."""
+    """Return the positions of a joint's sides; None if they are not both known, or absurd."""
     sides = [positions.get(side, math.nan) for side in topics.sides(joint)]
-    return Angles(*sides) if all(map(math.isfinite, sides)) else None
+    return Angles(*sides) if all(abs(each) <= _MAX_ANGLE for each in sides) else None
 
 
 Parameters = VisualizerParameters
