@@ -344,6 +344,7 @@ def test_process_noise_has_the_stated_density() -> None:
             lambda: Scenario(torque_disturbance=TorqueDisturbance(link=(StuckSensor(),))),
             "torque_disturbance link: expected torques",
         ),
+        (lambda: Scenario(torque_error=(StuckSensor(),)), "torque_error: expected torques"),
         (
             lambda: Scenario(outputs=(SimulatedOutput("elbow"),)),
             r"outputs\[0\]: expected one of link_angle, .*, got 'elbow'",

@@ -115,6 +115,7 @@ def test_a_square_changes_its_sign_and_a_chirp_its_frequency() -> None:
     [
         ("offset", "kind: expected one of none, .*, bias_step, .*, got 'offset'"),
         ({"amplitude": 1.0}, "kind: expected one of none, .*, bias_step, .*, got None"),
+        ({"kind": ["ramp"]}, r"kind: expected one of none, .*, got \['ramp'\]"),
         ({"kind": "ramp", "slope": 1.0}, "unknown entry 'slope'"),
         ({"kind": "gauss_markov", "std": -1.0}, "gauss_markov std: expected a finite number of"),
         ({"kind": "gauss_markov", "time_constant": 0.0}, "gauss_markov time_constant: expected"),

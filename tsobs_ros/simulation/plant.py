@@ -281,9 +281,11 @@ class Scenario(PlantScenario):
         for name in ("initial_state", "initial_spread"):
             as_matrix(name, getattr(self, name), (4,))
         _ = self.true_arm
-        for side, torque in zip(SIDES, self.torque_disturbance, strict=True):
+        names = (*(f"torque_disturbance {side}" for side in SIDES), "torque_error")
+        torques = (*self.torque_disturbance, self.torque_error)
+        for name, torque in zip(names, torques, strict=True):
             if any(isinstance(each, StuckSensor) for each in torque):
-                raise ModelError(f"torque_disturbance {side}: expected torques, got a stuck sensor")
+                raise ModelError(f"{name}: expected torques, got a stuck sensor")
         self.arm.measured(
             [output.measures for output in self.outputs], [output.delay for output in self.outputs]
         )

@@ -65,7 +65,7 @@ def signal_of(kinds: Mapping[str, type[Signal]], entry: object) -> Any:
     """
     numbers: dict[str, Any] = dict(entry) if isinstance(entry, Mapping) else {"kind": entry}
     kind = numbers.pop("kind", None)
-    if kind not in kinds:
+    if not isinstance(kind, str) or kind not in kinds:
         raise ModelError(f"kind: expected one of {', '.join(kinds)}, got {shown(kind)}")
     return decode(numbers, kinds[kind])
 
