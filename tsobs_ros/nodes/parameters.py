@@ -12,6 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -102,7 +103,8 @@ class JointParameters(ManagedParameters):
     def read(self, reader: Callable[[str], T]) -> dict[str, T]:
         """Return the result of `reader` on each joint's design file; it is called once per file."""
         shipped = str(config_path(SHIPPED_DESIGN))
-        paths = {joint: path or shipped for joint, path in self.design_of.items()}
+        each = self.design_of.items()
+        paths = {joint: str(expanded("design", path or shipped)) for joint, path in each}
         found = {path: reader(path) for path in dict.fromkeys(paths.values())}
         return {joint: found[path] for joint, path in paths.items()}
 
@@ -123,6 +125,19 @@ class JointParameters(ManagedParameters):
             )
         paths = own or ("",) * len(joints)
         return {joint: path or self.design for joint, path in zip(joints, paths, strict=True)}
+
+
+def expanded(parameter: str, path: str) -> Path:
+    """Return the path that a parameter names, in which ~ stands for a home folder.
+
+    Raises:
+        ParameterError: There is no such home folder.
+    """
+    try:
+        return Path(path).expanduser()
+    except RuntimeError as error:
+        problem = f"expected a path, got {in_yaml(path)}, whose home folder is unknown"
+        raise ParameterError(f"parameter '{parameter}': {problem}") from error
 
 
 def full_name(node: Node, parameter: str, name: str) -> str:

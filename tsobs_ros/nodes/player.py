@@ -19,7 +19,6 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from msgspec.structs import replace
@@ -41,7 +40,7 @@ from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.errors import BagWriteError, NodeError, ParameterError
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.parameters import SelectingParameters
+from tsobs_ros.nodes.parameters import SelectingParameters, expanded
 from tsobs_ros.nodes.runtime import Ticker
 from tsobs_ros.nodes.wire import clock_message, message_class, wait_until_taken
 from tsobs_ros.settings import live_setting, setting
@@ -125,7 +124,7 @@ class Player(ManagedNode[PlayerParameters]):
             raise ParameterError("parameter 'bag' must name a bag folder or an .mcap file")
         if self.get_parameter("use_sim_time").value:
             self.log(Level.WARN, "use_sim_time does not matter: the player makes the time")
-        self._reader = reader = BagReader(Path(parameters.bag).expanduser())
+        self._reader = reader = BagReader(expanded("bag", parameters.bag))
         self._start = reader.start_time or 0
         end = reader.end_time or self._start
         start = self._start + round(parameters.start_offset * 1e9)

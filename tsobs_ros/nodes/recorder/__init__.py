@@ -23,6 +23,7 @@ from tsobs_ros.bag.recording import Recording
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.parameters import expanded
 from tsobs_ros.nodes.recorder.topics import LossCounter, RecorderParameters, TopicFinder
 from tsobs_ros.nodes.runtime import Ticker
 
@@ -236,7 +237,7 @@ class Recorder(ManagedNode[RecorderParameters]):
 def _bag_folder(output: str) -> Path:
     """Return the bag's folder as an absolute path, a dated one in the current folder if unnamed."""
     if output:
-        return Path(output).expanduser().absolute()
+        return expanded("output", output).absolute()
     dated = Path(datetime.now().strftime("rosbag2_%Y_%m_%d-%H_%M_%S")).absolute()
     others = (dated.with_name(f"{dated.name}_{number}") for number in count(2))
     return next(path for path in chain([dated], others) if not path.exists())
