@@ -103,6 +103,7 @@ def check(name: str, *arguments: str) -> None:
         (["--rate", "100"], "unrecognized arguments: --rate 100"),
         (["--ros-args", "-p", "bag:=b", "--", "b"], "unrecognized arguments: b"),
         (["--ros-args", "--rate", "2"], "'--rate', '2'"),
+        (["--ros-args", "-p", "bag:=\udcff"], r"expected arguments in UTF-8, got 'bag:=\udcff'"),
     ],
 )
 def test_unknown_arguments_are_named(arguments: list[str], named: str, capsys: Any) -> None:

@@ -193,10 +193,20 @@ def test_what_cannot_work_is_one_line_and_exit_code_1(ros_process: Process, tmp_
     assert "edited.yaml: the certificate does not hold" in line
 
 
-def test_a_node_needs_no_folder_for_logs(ros_process: Process, tmp_path: Path) -> None:
-    home = tmp_path / "home"
-    home.write_text("a file, below which nobody makes a folder")
-    prefix = ["env", "-u", "ROS_HOME", "-u", "ROS_LOG_DIR", f"HOME={home}"]
+def test_what_ros_refuses_of_the_environment_is_a_line(ros_process: Process) -> None:
+    prefix = ["env", "ROS_STATIC_PEERS=256.256.256.256"]
+    finished = ros_process("visualizer", prefix=prefix).finish(TIMEOUT)
+    assert finished.exit_code == 1
+    assert "Traceback" not in finished.stderr
+    (line,) = errors(finished.stderr)
+    assert "Unable to resolve peer 256.256.256.256" in line
+
+
+@pytest.mark.parametrize("home", ["home", ""])
+def test_a_node_needs_no_folder_for_logs(ros_process: Process, tmp_path: Path, home: str) -> None:
+    file = tmp_path / "home"
+    file.write_text("a file, below which nobody makes a folder")
+    prefix = ["env", "-u", "ROS_HOME", "-u", "ROS_LOG_DIR", f"HOME={home and file}"]
     process = ros_process("plant_simulator", parameters={"duration": 0.1}, prefix=prefix)
     finished = process.finish(TIMEOUT)
     assert finished.exit_code == 0, finished.stderr

@@ -159,6 +159,8 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
     try:
         # ROS has no --help, and --help may come after --ros-args.
         own = ["--help"] if {"-h", "--help"} & {*arguments} else remove_ros_args(arguments)[1:]
+    except UnicodeEncodeError as error:
+        parser.error(printable(f"expected arguments in UTF-8, got {error.object!r}"))
     except RuntimeError as error:
         # rclpy does not export the type. Malformed arguments are left for rclpy.init to report.
         if type(error).__name__ == "UnknownROSArgsError":
@@ -192,6 +194,11 @@ def run(create: Callable[[], Node], args: Sequence[str] | None = None) -> int:
             pass  # the context was shut down from outside: a clean end
         except EXPECTED as error:
             exit_code = complain(error)
+        except RuntimeError as error:
+            # rclpy does not export the type. Bad variables of the environment stop the first node.
+            if node is not None or type(error).__name__ != "RCLError":
+                raise
+            exit_code = complain(error)
         finally:
             exit_code = _tear_down(node, exit_code)
     return exit_code
@@ -201,12 +208,13 @@ def _log_arguments() -> list[str]:
     """Return arguments that switch the log file off if ROS could not write to its folder."""
     try:
         if not os.environ.get("ROS_LOG_DIR"):
-            home = Path(os.environ.get("ROS_HOME") or Path(os.environ["HOME"], ".ros"))
+            own = os.environ.get("HOME") or os.devnull  # in which there is no folder
+            home = Path(os.environ.get("ROS_HOME") or Path(own, ".ros"))
             folder = home.expanduser() / "log"
             folder.mkdir(parents=True, exist_ok=True)
             if not os.access(folder, os.W_OK):
                 raise PermissionError(folder)
-    except (KeyError, OSError, RuntimeError):
+    except (OSError, RuntimeError):
         return ["--ros-args", "--disable-external-lib-logs"]
     return []
 
