@@ -85,6 +85,14 @@ def test_a_disk_that_gets_too_full_ends_the_recording_with_a_closed_bag(
     assert recording.texts(recorder.path) == ["in time"]
 
 
+def test_a_bag_that_was_deleted_meanwhile_is_an_error(recording) -> None:
+    recorder = recording.start(topics=["a"])
+    recording.say(recorder, "a", "in vain")
+    (recorder.path / "bag_0.mcap").unlink()
+    with pytest.raises(BagWriteError, match=r"bag_0\.mcap: cannot write it: No such file"):
+        recorder.close()
+
+
 @pytest.fixture
 def started(ros, ros_process, tmp_path: Path) -> Callable[..., tuple[Any, Any]]:
     """Start a recorder of /a as a process, and what publishes texts to it."""
