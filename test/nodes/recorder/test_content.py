@@ -80,6 +80,20 @@ def test_under_simulated_time_messages_wait_for_the_clock(ros, recording) -> Non
     assert {m.log_time for m in BagReader(recorder.path).messages()} == {12 * 10**9}
 
 
+def test_what_no_clock_has_a_time_for_is_told(ros, recording, capfd) -> None:
+    recorder = recording.start(topics=["joints"], use_sim_time=True)
+    publisher = ros.node("source").create_publisher(JointState, "joints", 10)
+    ros.spin_until(lambda: not recorder.finder.missing, what="the recorder's subscription")
+    ros.spin_until(lambda: publisher.get_subscription_count() == 1, what="the publisher's match")
+    for message in recording.joint_states(3):
+        publisher.publish(message)
+    assert publisher.wait_for_all_acked()
+    recorder.close()
+    printed = capfd.readouterr().err
+    assert printed.count(": waiting for /clock\n") == 1
+    assert ": not recorded without a /clock: 3 messages\n" in printed
+
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 

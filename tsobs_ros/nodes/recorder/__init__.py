@@ -77,6 +77,8 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def activate(self) -> None:
         """Record the messages that arrive from now on."""
+        if self._is_timeless:
+            self.log(Level.OK, "waiting for /clock")
         self._drain()
 
     def deactivate(self) -> None:
@@ -86,6 +88,10 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def _log_end(self) -> None:
         """Log the counts of the bag before it is closed."""
+        if self._is_timeless:
+            limit, topics = self.parameters.queue_depth, self.finder.recorded.values()
+            waiting = sum(len(topic.drain(limit)) for topic in topics)
+            self.log(Level.WARN, f"not recorded without a /clock: {waiting} messages")
         unknown = len(self.loss_unknown)
         self.log(
             Level.OK,
@@ -103,6 +109,11 @@ class Recorder(ManagedNode[RecorderParameters]):
     def messages(self) -> int:
         """The number of messages recorded."""
         return sum(self.recording.counts.values())
+
+    @property
+    def _is_timeless(self) -> bool:
+        """Whether there has been no /clock yet."""
+        return bool(self.get_clock().now().nanoseconds == 0)
 
     @property
     def _losses(self) -> dict[str, LossCounter]:
@@ -220,7 +231,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         warnings = {
             f"{self.lost} messages lost": self.lost > 0,
             f"{free:.0f} MiB of disk space are left": low,
-            "waiting for /clock": self.get_clock().now().nanoseconds == 0,
+            "waiting for /clock": self._is_timeless,
             f"waiting for {', '.join(missing[:1])}": bool(missing),
         }
         worst = next((text for text, holds in warnings.items() if holds), None)
