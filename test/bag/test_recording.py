@@ -98,6 +98,15 @@ def test_a_file_has_what_is_latched_even_if_log_times_stand_still_or_go_back(
                          [("/map", 3, 3)]]  # fmt: skip
 
 
+def test_all_counts_of_an_unfinished_bag_are_of_finished_chunks(tmp_path: Path) -> None:
+    with begin(tmp_path / "bag") as recording:
+        recording.write("/a", EMPTY, 1, 1)
+        recording.sync()
+        metadata = read_metadata(tmp_path / "bag")
+        counts = [each.message_count for each in metadata.topics_with_message_count]
+        assert sum(counts) == metadata.message_count
+
+
 def test_syncing_while_a_bag_is_written_split_and_closed_does_no_harm(tmp_path: Path) -> None:
     number = 1_000
     with Recording(tmp_path / "bag", max_duration_ns=number // 20, sync_period=0.0) as writer:

@@ -88,8 +88,8 @@ class FileWriter:
         return self._counts[self.ids.get(topic, 0)]
 
     def info(self) -> FileMetadata:
-        """Return the file's entry for metadata.yaml, as of now."""
-        return FileMetadata.of(self.path.name, self._start, self._end, self.message_count)
+        """Return the file's entry for metadata.yaml, of finished chunks."""
+        return FileMetadata.of(self.path.name, self._start, self._end, self._counts.total())
 
     def duration_with(self, log_time_ns: int) -> int:
         """Return the file's duration [ns] with an additional message of this log time."""
