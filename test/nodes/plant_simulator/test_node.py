@@ -219,7 +219,7 @@ def test_files_are_read_again_only_by_another_configuration(
 
 def test_a_change_that_cannot_be_applied_leaves_the_parameters(ros: Any, monkeypatch: Any) -> None:
     node = start(ros, "plant_simulator")
-    with monkeypatch.context() as patch, pytest.raises(TypeError):
-        patch.setattr(node, "retune", None)
+    monkeypatch.setattr(node, "retune", None)
+    with pytest.raises(TypeError):
         node.set_parameters([Parameter("noise_factor", value=2.0)])
     assert node.parameters.noise_factor == 1.0
