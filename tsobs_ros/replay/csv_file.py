@@ -79,13 +79,13 @@ def plain_unit(text: str) -> str:
 @contextmanager
 def naming_file(path: Path) -> Iterator[None]:
     """Turn errors of reading a file into `LogError`s that name the file."""
-    try:
-        with naming_path(path, LogError):
+    with naming_path(path, LogError):
+        try:
             yield
-    except UnicodeDecodeError as error:
-        raise LogError(f"{path}: expected text in UTF-8") from error
-    except LogError as error:
-        raise LogError(f"{path}: {error}") from error
+        except UnicodeDecodeError as error:
+            raise LogError(f"{path}: expected text in UTF-8") from error
+        except LogError as error:
+            raise LogError(f"{path}: {error}") from error
 
 
 class CsvFile:
