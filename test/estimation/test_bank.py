@@ -301,6 +301,16 @@ def test_tones_are_found_and_removed(frequencies: tuple[float, ...]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
+def test_a_tone_larger_than_the_motion_does_not_lead_astray(seed: int) -> None:
+    """To the design all of its samples are outliers, and hits of the arm explain many of them."""
+    run = simulated(arm_with(Sinusoid(0.6, 10.0, 2.0)), seed, 30)
+    got = course("learning", run)
+    late = slice(20 * RATE, None)
+    assert (got.hypothesis[late] == Hypothesis.TONE).mean() > 0.9
+    assert np.abs(got.state[:, 0] - run.physical[0, :, 0])[late].mean() < 0.02
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_a_tone_does_not_spoil_what_was_learnt_before(seed: int) -> None:
     """Its frequency is not known at first, and near it other parameters may explain it."""
     arm = Mismatch(stiffness=-0.3, gravity_torque=0.2)

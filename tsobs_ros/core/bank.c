@@ -190,7 +190,7 @@ static void drop_others(const model *m, const state *at)
     }
 }
 
-/* Put a fork in its parent's place, as the best hypothesis. */
+/* Put a fork in the standing place of its kind, as the best hypothesis. */
 static void take_place(const model *m, state *at, const hypothesis *h)
 {
     *at->best = *h->kind;
@@ -287,6 +287,11 @@ static int is_considered(const model *m, long kind)
 /* Begin the hypotheses that sleep, and keep all awake for a while. */
 static void activate_bank(const model *m, state *at)
 {
+    for (long i = 0; *at->awake <= 0.0 && i < m->s.p; i++) {
+        const sensor of = sensor_of(m, at, i); /* tones from before the sleep may be over */
+        memset(of.tones, 0, (size_t)(4 * TONES) * sizeof *of.tones);
+        of.recent[0] = of.recent[1] = *of.recent_time = *of.recent_counted = 0.0;
+    }
     if (*at->awake <= 0.0 && *at->best == AS_DESIGNED) {
         const hypothesis h = best_of(m, at);
         copy_matrix(h.theta, m->s.k, at->settled_theta, m->s.k, 1, m->s.k);
@@ -408,20 +413,27 @@ static double lowest_tone(const model *m)
 }
 
 /* Rotate the phasors of the design's innovations and, for clean sensors, of the motion that it
- * estimates, at all frequencies, and add the newest ones. Both are relative to the innovations' 1
- * sigma, and are first summed up over .015 rad of the lowest frequency, .25 rad of the highest. */
+ * estimates, at all frequencies, and add the newest ones. If the design takes the sample for an
+ * outlier, it may be lost itself, in a large tone. LOUD then takes its place, which is moved least.
+ * Both are relative to the design's 1 sigma of innovations, and are first summed up over .015 rad
+ * of the lowest frequency, .25 rad of the highest. No hypothesis is corrected by the sample yet. */
 static void update_tones(const model *m, const state *at, const correction *effect)
 {
     const double step = m->constants[TONE_RATIO];
-    const double *x = hypothesis_of(m, at, AS_DESIGNED).x;
+    const hypothesis designed = hypothesis_of(m, at, AS_DESIGNED);
+    const hypothesis loud = hypothesis_of(m, at, LOUD);
     for (long i = 0; i < m->s.p; i++) {
         if (!effect->present[i]) {
             continue;
         }
-        const outlook *expected = outlook_of(effect, i);
         const sensor of = sensor_of(m, at, i);
-        const double *row = m->C + i * m->s.width, std = sqrt(expected->variance);
-        of.recent[0] += clip(expected->innovation / std, -3.0, 3.0);
+        const double *row = m->C + i * m->s.width, *x = designed.x;
+        const double std = noise_of(m, at, i) * sqrt(m->innovation_variance[i]);
+        const double shown = at->y[i] - dot(m->D + i * m->s.p, at->sample, m->s.p);
+        if (*loud.live != 0 && fabs(shown - dot(row, x, m->s.n)) > *m->gate * std) {
+            x = loud.x;
+        }
+        of.recent[0] += clip((shown - dot(row, x, m->s.n)) / std, -3.0, 3.0);
         of.recent[1] += (dot(row, x, m->s.plant) - dot(row, at->centre, m->s.plant)) / std;
         *of.recent_time += maximum(*of.since, *m->period);
         *of.recent_counted += counted_time(m, *of.since);
@@ -451,7 +463,8 @@ typedef struct {
 } tone;
 
 /* Begin a TONE of an output with one tone or two, as a copy of the best hypothesis. TONE_RESET also
- * forgets what that has learnt since the bank woke, which may have been the tone's. */
+ * forgets what that has learnt since the bank woke, which may have been the tone's, and takes the
+ * state of LOUD, which the tone moved least. */
 static void begin_tones(
     const model *m, const state *at, long place, int64_t output, const tone *tones, long count)
 {
@@ -469,6 +482,10 @@ static void begin_tones(
         h.x[first + 2] = tones[i].frequency;
     }
     if (place == TONE_RESET) {
+        const hypothesis loud = hypothesis_of(m, at, LOUD);
+        if (*loud.live != 0) {
+            memcpy(h.x, loud.x, (size_t)m->s.n * sizeof *h.x);
+        }
         reset_covariances(m, &h);
         copy_matrix(at->settled_gamma, k, h.gamma, k, k, k);
         for (long a = 0; a < k; a++) {
@@ -835,7 +852,8 @@ static int is_loud(const model *m, double size)
 }
 
 /* Once per trial, begin a fork of another kind, each kind in turn: the standing hypothesis that is
- * true now may have missed an event for good, as only the best one forks then. While a young
+ * true now may have missed an event for good, as only the best one forks then. LOUD is not among
+ * them, so that one hypothesis stays near the arm if all others follow a large tone. While a young
  * IMPERFECT is the best, every second fork supposes that only the parameters were wrong, which is
  * as likely unless the noise is loud. While DRIFT is the best, every second one supposes the other
  * of two sizes, as one between them looks like a torque. While FORCE is the best for a T-S system,
@@ -865,7 +883,7 @@ static void suppose_otherwise(const model *m, const state *at)
         } else {
             *h.size = c[DRIFT_SIZE] * (*h.size < c[DRIFT_SIZE] ? 1.0 : 0.5);
         }
-    } else if (kind != place && is_considered(m, kind) && free >= 0) {
+    } else if (kind != place && kind != LOUD && is_considered(m, kind) && free >= 0) {
         begin_kind(m, at, free, kind, OTHERWISE, score);
     }
     if (place >= LOUD && place != DRIFT && kind != place && kind != FORCE && kind != IMPERFECT) {
@@ -1059,9 +1077,6 @@ static void use_sample(const model *m, state *at, long place, correction *effect
     if (place == *at->best && fork_best(m, at, effect)) {
         expect_outputs(m, at, &h, effect);
     }
-    if (place == AS_DESIGNED && *at->awake > 0.0) {
-        update_tones(m, at, effect);
-    }
     for (long i = 0; *h.fork == STUCK && i < m->s.p; i++) {
         outlook_of(effect, i)->used &= *sensor_of(m, at, i).repeats == 0;
     }
@@ -1096,6 +1111,9 @@ static void correct_bank(const model *m, state *at, correction *effect)
         activate_bank(m, at);
     }
     *at->outliers += outliers;
+    if (*at->awake > 0.0) {
+        update_tones(m, at, effect);
+    }
     /* The best one is last, so that its forks, corrected as they begin, are not corrected again. */
     for (long i = m->s.hypotheses - 1; i >= 0; i--) {
         if (i != best && *hypothesis_of(m, at, i).live != 0) {

@@ -39,7 +39,8 @@ enum {
     COLOURED_NOISE, /* noise that is correlated in time */
     DRIFT,          /* sensors that drift away */
     TONE,           /* a sensor that oscillates at one or two frequencies */
-    TONE_RESET,     /* a second TONE, which forgets what was learnt since the bank woke */
+    TONE_RESET,     /* a second TONE, which forgets what was learnt since the bank woke; forks of
+                     * both take the place of TONE */
     STANDING,
     FORKS = 6
 };

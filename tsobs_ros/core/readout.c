@@ -65,8 +65,9 @@ static int64_t basis_of(const model *m, const hypothesis *best, int64_t named, d
     const double most = m->constants[VOID];
     const double least = m->constants[LEAST_SCALE] * m->constants[LEAST_SCALE];
     const double slowness = slowness_of(m, *best->slow_power, maximum(*best->nis, least));
-    *claimed = *best->nis <= most && slowness <= 7.0 * most;
-    if (*claimed == 0.0) {
+    const int is_void = !(*best->nis <= most && slowness <= 7.0 * most);
+    *claimed = !is_void && *m->gain_mode != GAIN_OPEN;
+    if (is_void) {
         return BASIS_CONTRADICTED;
     }
     if (named != AS_DESIGNED) {
@@ -158,7 +159,7 @@ static double read_one(
         const double sprung = what == STATE ? error_by_spring(m, &h, place) : 0.0;
         double variance, spread = 0.0, shift = 0.0, curved = 0.0, prior = 0.0;
         const double own_value = value_of(m, at, &h, what, place, &variance, scratch->functional);
-        double own = *m->gain_mode == GAIN_OPEN ? least : sqrt(variance);
+        double own = sqrt(variance);
         if (*h.certified != 0) {
             own = least * scale_of(m, at) * (*at->late != 0 ? *m->late_factor : 1.0);
         }
@@ -190,6 +191,10 @@ static double read_one(
     const double between = mean_square - mean * (2.0 * mean_of_all - mean);
     *value = unit * mean;
     *bound = fabs(unit) * sqrt(within + (between > 0.0 ? between : 0.0));
+    if (*m->gain_mode == GAIN_OPEN) { /* it has no bound */
+        *bound = (double)NAN;
+        return *value;
+    }
     return *value + *bound;
 }
 

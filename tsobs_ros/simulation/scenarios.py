@@ -71,7 +71,7 @@ _SLIGHT, _FRICTION = Friction(0.0, 0.0, 0.1, 0.05), Friction(0.0, 0.0, 0.3, 0.15
 _STEP, _DRIFT, _SINUSOID = BiasStep(0.1, 30.0), GaussMarkov(0.1, 20.0), Sinusoid(0.2, 3.0, 2.0)
 _STEPS = (Pulses(0.15, 4.0, 4.0, 16.0), Pulses(-0.15, 12.0, 4.0, 16.0))
 _PULSES = Pulses(0.5, 8.0, 1.5, 8.0)
-_TONES = {0.03: (3.0, 8.0), 0.1: (1.0, 3.0, 8.0, 12.0), 0.3: (1.0, 3.0, 12.0)}
+_TONES = {0.03: (3.0, 8.0), 0.1: (1.0, 3.0, 8.0, 12.0), 0.3: (1.0, 3.0, 12.0), 0.6: (9.0,)}
 
 SCENARIOS: dict[str, Scenario] = {
     "noise": _PLAIN,
