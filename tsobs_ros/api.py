@@ -225,9 +225,9 @@ def simulate(
         torque = _columns("torque", values, scenario.sample_count, scenario.input_count)
     run = Plant(scenario, seed).run(scenario.sample_count, torque)
     if not (there := np.isfinite(run.physical).all(axis=1)).all():
+        why = "it diverges" + ", or no rule of the T-S system fires there" * (not is_arm)
         raise ModelError(
-            f"simulate: the state is not finite from {run.times[np.argmin(there)]:g} s on: it "
-            f"diverges, or no rule of a T-S system fires there"
+            f"simulate: the state is not finite from {run.times[np.argmin(there)]:g} s on: {why}"
         )
     alone = is_arm and len(names) == 1
     return Simulation(

@@ -45,6 +45,12 @@ def test_the_table_has_a_number_of_each_observer_in_each_scenario(comparison: An
     assert all(math.isfinite(float(cell)) for cell in table["certified"])
 
 
+def test_a_scenario_without_errors_says_why(design: Design) -> None:
+    found = compare_scenarios(design, ["noise"], 1, ["certified"], duration=2.0)
+    assert found["scenarios"]["noise"]["certified"]["normalised_rmse"] is None
+    assert "–: runs of noise are too short to settle" in render_scenarios(found)
+
+
 def test_another_arm_is_compared_by_the_observers_that_fit_it() -> None:
     design = load_design(config_path("elastic_joint_fixed.design.yaml"))
     request = replace(design.arm_request, arm=replace(design.arm_request.arm, link_damping=0.1))

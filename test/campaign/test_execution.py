@@ -56,6 +56,13 @@ def test_rows_depend_on_their_numbers_alone(short: Campaign, done: Path) -> None
             assert column.tobytes() == together[name][run : run + 1].astype(column.dtype).tobytes()
 
 
+def test_a_run_that_diverges_refutes_no_bound(write: Callable[..., Path]) -> None:
+    huge = {"x": {"link_torque": [{"kind": "bias_step", "amplitude": 1e308, "start": 0.5}]}}
+    row = compute(load_campaign(write(runs=1, scenarios=huge)), 0, 1)
+    assert not row["premises_hold"][0]
+    assert "divergence" in row["violated"][0]
+
+
 def test_neither_threads_nor_interruptions_change_a_bit(
     short: Campaign, done: Path, tmp_path: Path
 ) -> None:

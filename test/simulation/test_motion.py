@@ -56,6 +56,16 @@ def test_agrees_with_a_solver_of_order_eight(rate: float) -> None:
     np.testing.assert_allclose(ours, expected, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "arm",
+    [ElasticJointArm(0.01, 0.001, 10.0, 0.0, 0.0, 3.0), ElasticJointArm(0.02, 2e-4, 200.0, 1.0)],
+    ids=["damped", "stiff"],
+)
+def test_fast_modes_neither_diverge_nor_lose_their_energy(arm: ElasticJointArm) -> None:
+    expected = exact(lambda _, x: nominal(arm, x), 0.2, "LSODA")
+    np.testing.assert_allclose(moved(arm, START, 0.7, 0.2), expected, rtol=0.03, atol=0.01)
+
+
 def test_friction_agrees_with_its_formula() -> None:
     def rate(_: float, x: Vector) -> Vector:
         rest = nominal(ARM, x)
@@ -172,6 +182,8 @@ def test_a_system_is_commanded_and_has_the_stated_noise() -> None:
 
 
 def test_what_fits_no_system_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"simulation: expected .* modes up to 1e\+06 1/s, got 3e"):
+        moved(ElasticJointArm(motor_inertia=1e-6, motor_damping=3e2), START, 0.0, 0.1)
     with pytest.raises(ModelError, match=r"initial_state: expected shape \(2,\), got \(1,\)"):
         replace(pendulum(), initial_state=(1.0,))
     with pytest.raises(ModelError, match="mismatch: expected some of gravity, got 'mass'"):

@@ -160,6 +160,8 @@ def compute(
             metrics = measure(run, settle_time=campaign.entries.settle_time)
             reach = float(np.abs(truth.physical[place, :, 0]).max())
             broken = violated(scenario, request) + ("domain",) * (reach > request.max_angle)
+            # Nothing is proved about, and nothing known of, a motion that is not finite.
+            broken += ("divergence",) * (not np.isfinite(truth.physical[place]).all())
             row: dict[str, Any] = {"run": drawn.run, "scenario": drawn.name, "seed": drawn.seed}
             row["drawn"] = json.dumps(drawn.numbers)
             row |= {f"start_{name}": x for name, x in zip(request.state_names, start, strict=True)}

@@ -90,6 +90,16 @@ def compare_scenarios(
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         rows = dict(zip(scenarios, pool.map(compared, scenarios), strict=True))
+    blank = [
+        name
+        for name, found in rows.items()
+        if any(found[one.name]["normalised_rmse"] is None for one in observers)
+    ]
+    if blank:
+        remarks.append(
+            f"–: runs of {', '.join(blank)} are too short to settle, never settle, or have numbers "
+            "that are not finite"
+        )
     return {
         "seeds": seeds,
         "observers": {one.name: METHODS[one.name] for one in observers},

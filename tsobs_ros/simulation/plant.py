@@ -7,8 +7,9 @@ sample with its inputs held. No clock is read: the same scenario, seed and input
 numbers, to the bit, for one plant or a batch, sample by sample or many samples at a time.
 
 The true motion, against which observers are judged, is integrated by the classical fourth-order
-Runge–Kutta method in steps of at most 1 ms, with inputs held between samples. The method keeps the
-undriven arm's energy to 1e-10 over a minute, so its error is far below any noise.
+Runge–Kutta method in steps of at most 1 ms, or 0.2 over the rate of the plant's fastest mode, with
+inputs held between samples. The method keeps the undriven arm's energy to 1e-10 over a minute, so
+its error is far below any noise.
 """
 
 import math
@@ -31,10 +32,14 @@ from tsobs_ros.simulation.sensor import Disturbance, Output, SimulatedOutput
 from tsobs_ros.simulation.signals import Numbers, Signal, Sine, StuckSensor, recurs
 from tsobs_ros.simulation.streams import AngleDelay, RandomStream, Source, TorqueDelay
 
-_LONGEST_SUBSTEP = 1e-3
+_LONGEST_SUBSTEP, _LARGEST_TURN, _FASTEST = 1e-3, 0.2, 1e6
+"""Longest step of the integration [s], the most that the fastest mode turns, or decays, in a step
+[rad], and the fastest mode that can be simulated [1/s]."""
+
 _STANDARD_GRAVITY = 9.80665
 _BLOCK = 2**16
-"""Number of samples, over all runs, that are moved at a time, so that memory stays bounded."""
+"""Number of samples of five steps, over all runs, that are moved at a time, so that memory stays
+bounded."""
 
 
 def _change(what: str) -> float:
@@ -108,7 +113,10 @@ class Motion:
 
     The derivatives of the states have white noise of the given densities. `sizes`, without n, and
     `numbers` are those of the plant's record in core/simulate.h. `states` are the present ones,
-    shape (runs, n).
+    shape (runs, n), `steps` those of the integration per sample.
+
+    Raises:
+        ModelError: The plant's fastest mode [1/s] is too fast.
     """
 
     def __init__(
@@ -118,10 +126,16 @@ class Motion:
         states: Array,
         densities: Array,
         sizes: Sequence[int],
+        fastest: float,
         **numbers: ArrayLike,
     ) -> None:
+        if not fastest <= _FASTEST:
+            raise ModelError(
+                f"simulation: expected a plant with modes up to {_FASTEST:g} 1/s, got {fastest:.4g}"
+            )
+        longest = min(_LONGEST_SUBSTEP, _LARGEST_TURN / max(fastest, 1.0))
         # A period of exactly five steps must not become six because .005/.001 rounds upwards.
-        steps = max(1, math.ceil(1.0 / rate / _LONGEST_SUBSTEP - 1e-9))
+        self.steps = steps = max(1, math.ceil(1.0 / rate / longest - 1e-9))
         step = 1.0 / rate / steps
         self.states, self._rate = states, rate
         self._sizes = np.array([states.shape[1], *sizes], np.int64)
@@ -165,7 +179,10 @@ class ArmMotion(Motion):
         start = np.array(scenario.initial_state) + spread * np.array(scenario.initial_spread)
         states, densities = scenario.arm.to_physical(start), np.array([noise.link, noise.motor])
         arms = [_arm_numbers(scenario, *more) for more in ((0.0, 0.0), self._payload.total)]
-        super().__init__(seeds, scenario.rate, states, densities, (4, 0, 2, 0, 0), arms=arms)
+        fastest = max(map(_fastest, arms))
+        super().__init__(
+            seeds, scenario.rate, states, densities, (4, 0, 2, 0, 0), fastest, arms=arms
+        )
 
     def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
         since = np.arange(start, start + inputs.shape[1]) / self._rate - self._payload.start
@@ -195,6 +212,12 @@ def _arm_numbers(scenario: "Scenario", more_inertia: float, more_torque: float) 
         more_torque,
         0.5 * scenario.backlash,
     ]
+
+
+def _fastest(arm: Sequence[float]) -> float:
+    """Return a bound on an arm's modes, whose numbers are in the core's form [1/s]."""
+    gravity, _, link, link_damping, motor, motor_damping, *_ = arm
+    return max(link_damping, motor_damping) + math.sqrt(gravity + link + motor)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -346,6 +369,7 @@ class SystemScenario(PlantScenario):
             np.repeat([start], len(seeds), axis=0),
             self.process_noise,
             (m, model.schedule.shape[1], outputs.shape[1], *shapes.shape),
+            float(np.abs(np.linalg.eigvals(self.true_rates[..., :n])).max()),
             rates=self.true_rates.reshape(-1, n + m),
             outputs=outputs.reshape(-1, n),
             shapes=shapes.ravel(),
@@ -466,7 +490,7 @@ class Plant:
                 raise ModelError(f"torque of sample {place}: expected finite numbers")
         n, p, t = self._motion.states.shape[1], len(self._outputs), len(self._torques)
         kept = [np.empty((runs, samples, width)) for width in (n, p, p, inputs.shape[2], t)]
-        block = 1 if self._fed_back else max(1, _BLOCK // runs)
+        block = 1 if self._fed_back else max(1, 5 * _BLOCK // (runs * self._motion.steps))
         for done in range(0, samples, block):
             now = np.s_[:, done : done + block]
             for whole, part in zip(kept, self._advance(inputs[now].copy()), strict=True):
