@@ -425,6 +425,7 @@ def compare(
     source.observe([design.request for design in observers[0].designs])
     sensors = read_held_out(source, held_out_std)
     runs = run_observers(source, observers, keep=True)
+    _warn(None if source.damage is None else f"{source.damage}; compared up to there")
     return Comparison(errors for errors, _ in measure_runs(source, runs, sensors))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.cli.main import main
@@ -216,3 +217,22 @@ def test_damage_is_an_error_after_all_before_it(arms, write_bag, capsys) -> None
     for text in ("damaged", "estimated up to there", "exported up to there"):
         assert text in err
     assert 0 < BagReader(f"{bag}_estimates").topics["/observer/joint_states"].count < 300
+
+
+def test_damage_is_an_error_of_a_fit_and_a_warning_of_a_comparison(
+    arms, write_bag, tmp_path, capsys
+) -> None:
+    bag = write_bag(arms.messages(600), max_duration_ns=2_200_000_000, compression="none")
+    last = max(bag.glob("*.mcap"))
+    last.write_bytes(last.read_bytes().replace(b"elbow", b"xxxxx"))
+    request, fitted = tmp_path / "request.yaml", tmp_path / "fitted.yaml"
+    request.write_text("rate: 200.0", encoding="utf-8")
+
+    command = ["fit", str(request), str(bag), "--output", str(fitted), "--free", "stiffness"]
+    assert main(command) == 1
+    out, err = capsys.readouterr()
+    assert "damaged: " in out
+    assert "fitted up to there" in err
+    assert fitted.exists()
+    with pytest.warns(UserWarning, match="compared up to there"):
+        ts.compare(bag, methods=["certified", "ekf"])

@@ -17,7 +17,7 @@ from tsobs_ros.cli.common import (
     progress,
     show,
 )
-from tsobs_ros.errors import printable
+from tsobs_ros.errors import complain, printable
 from tsobs_ros.files import require_new, write_whole, written_whole
 
 
@@ -99,6 +99,7 @@ def _fit(options: argparse.Namespace) -> int:
     """Fit and write the fitted request."""
     from tsobs_ros.design.file import load_request
     from tsobs_ros.identification.fit import fit
+    from tsobs_ros.identification.recordings import DAMAGED
     from tsobs_ros.identification.result import request_text
 
     report: Path | None = options.report
@@ -120,4 +121,5 @@ def _fit(options: argparse.Namespace) -> int:
     show({**files, **found.summary()}, text, options.json)
     if not all(each.seen for each in found.numbers if each.name.startswith("arm.")):
         note("the recording does not show all numbers of the arm: see above")
-    return 0
+    damage = [each for each in found.notes if each.startswith(DAMAGED)]
+    return max(map(complain, damage), default=0)

@@ -251,6 +251,10 @@ class _Motions:
         for place in count():
             torque = self.torque(scale * angle)
             reached = self.reached(torque, arms)
+            if np.isnan(reached).any():
+                raise ModelError(
+                    f"arm: expected one whose simulated motion is finite, got {self.request.arm}"
+                )
             ratio = max(float((reached / self.limits).max()), 1e-9)
             if place >= _ROUNDS and ratio <= 1.0:
                 break

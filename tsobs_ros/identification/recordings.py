@@ -51,6 +51,9 @@ _SPIKE, _NEARBY, _ROUNDS = 5.0, 41, 8
 """Distance of an outlier from its neighbours, relative to the median second difference (8σ of white
 noise), number of samples of that median, and number of passes, as outliers hide each other."""
 
+DAMAGED = "damaged: "
+"""Begin of a note on a recording that could not be read to its end."""
+
 _Raw = tuple[str, Array, Array, Array]
 """Name, times, outputs and torques of a recording."""
 
@@ -69,9 +72,9 @@ def read(
     """
     if not logs:
         raise ModelError("logs: expected at least one recording")
-    raw = [_complete(*_samples(request, log, options)) for log in logs]
+    notes = list[str]()
+    raw = [_complete(*_samples(request, log, options, notes)) for log in logs]
     period = float(np.median(np.concatenate([np.diff(time) for _, time, _, _ in raw])))
-    notes = []
     if abs(period * request.rate - 1.0) > 0.02:
         notes.append(
             f"note: the recording has {1.0 / period:.4g} samples per second, the request "
@@ -115,8 +118,10 @@ def _zeros(request: ArmRequest, y: Array) -> Array:
     return zeros
 
 
-def _samples(request: ArmRequest, log: str | Path | Samples, options: dict[str, Any]) -> _Raw:
-    """Return the samples of a log, a bag or arrays."""
+def _samples(
+    request: ArmRequest, log: str | Path | Samples, options: dict[str, Any], notes: list[str]
+) -> _Raw:
+    """Return the samples of a log, a bag or arrays; remarks on them become notes."""
     if not isinstance(log, str | Path):
         times, y, u = (numbers("logs", each) for each in log)
         y = y.reshape(len(times), -1) if times.ndim == 1 and len(times) else y
@@ -131,6 +136,9 @@ def _samples(request: ArmRequest, log: str | Path | Samples, options: dict[str, 
     if len(source.joints) != 1:
         raise LogError(f"{log}: joints {', '.join(source.joints)}: name one of them with --joint")
     source.observe([request])
+    notes += source.remarks
+    if source.damage is not None:
+        notes.append(f"{DAMAGED}{source.damage}; fitted up to there")
     whole = source.samples
     keep = (whole.stamps > 0) & (whole.codes[:, 0] == USED)
     stamps = whole.stamps[keep]
