@@ -22,7 +22,7 @@ print(f"the sensor's bias is estimated at {disturbance:.3f} rad; the truth is 0.
 print(f"{estimates.used} measurements used, rejected: {estimates.rejected or 'none'}")
 
 # The same step by step, as a control loop would call it. Every step is a pure function.
-observer = design.observer()
+observer = design.observer(adapt=True, supervision=ts.SupervisionOptions())
 state = observer.initial()
 for angle, torque in zip(run.angle, run.torque, strict=True):
     state, correction = observer.correct(state, np.array([angle]))

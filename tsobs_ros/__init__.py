@@ -7,7 +7,8 @@
     design = ts.load_design()  # the shipped one; or ts.load_design("my_arm.design.yaml")
     run = ts.simulate(design, duration=10.0, disturbance="bias_step")
     estimates = ts.estimate(design, run.time, run.angle, run.torque)  # arrays in, arrays out
-    observer = design.observer()  # or step by step: initial, correct, predict, readout
+    # or step by step, to the same bits: initial, correct, predict, readout
+    observer = design.observer(adapt=True, supervision=ts.SupervisionOptions())
 
 Models and designs:
     ElasticJointArm   physical parameters of the arm
@@ -28,6 +29,7 @@ Estimates:
     estimate          estimates from arrays, as the observer node makes them
     Estimates         result of estimate: states, bounds, disturbance, innovations, counts
     ObserverSettings  method, gates and timeouts, with the node's defaults
+    SupervisionOptions rules for leaving samples out, for a design's observer
     make_tracker      estimates at any time from stamped measurements in any order
     Tracker           class of the object that make_tracker returns
     Measurement       one stamped sample for a tracker
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
     from tsobs_ros.design.request import ArmRequest as ArmRequest
     from tsobs_ros.design.synthesis import synthesise as synthesise
     from tsobs_ros.errors import TsobsError as TsobsError
+    from tsobs_ros.estimation.estimator import SupervisionOptions as SupervisionOptions
     from tsobs_ros.estimation.records import Measurement as Measurement
     from tsobs_ros.estimation.tracker import Tracker as Tracker
     from tsobs_ros.estimation.tracker import step_joints as step_joints
@@ -86,6 +89,7 @@ _NAMES = {
     "design.request": ("ArmRequest",),
     "design.synthesis": ("synthesise",),
     "errors": ("TsobsError",),
+    "estimation.estimator": ("SupervisionOptions",),
     "estimation.records": ("Measurement",),
     "estimation.tracker": ("Tracker", "step_joints"),
     "identification.excitation": ("excite",),
