@@ -76,6 +76,20 @@ def test_a_simulation_is_reproducible_and_in_physical_units(design: Design) -> N
     assert disturbed.tolist() == [0.0] * 100 + [0.2] * 101
 
 
+def test_masked_samples_are_missing(design: Design) -> None:
+    run = ts.simulate(design, duration=1.0, seed=3)
+    masked = np.ma.array(run.angle, mask=np.arange(201) % 3 == 0)
+    masked.data[masked.mask] = 9.0
+    made, missing = (
+        ts.estimate(design, run.time, angle, run.torque)
+        for angle in (masked, masked.filled(np.nan))
+    )
+    assert made.state.tobytes() == missing.state.tobytes()
+    tracker = ts.make_tracker(design)
+    tracker.offer(ts.Measurement(5_000_000, y=masked[:1], u=run.torque[:1]), now=5_000_000)
+    assert tracker.used == 0
+
+
 @pytest.fixture(scope="module")
 def example_1() -> Design:
     return ts.load_design(config_path("paper_example_1.design.yaml"))

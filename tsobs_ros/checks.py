@@ -46,12 +46,18 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+def unmasked(value: Any) -> Any:
+    """Return a masked array with NaN in place of the masked entries, any other value as it is."""
+    is_masked = isinstance(value, np.ma.MaskedArray)
+    return value.astype(np.float64).filled(np.nan) if is_masked else value
+
+
 def numbers(name: str, value: ArrayLike) -> Array:
     """Return a copy of `value` as a float array, or raise `ModelError` if it is not numeric."""
     try:
         if np.iscomplexobj(value):  # numpy would drop the imaginary part
             raise TypeError
-        return np.array(value, dtype=np.float64)
+        return np.array(unmasked(value), dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"{name}: expected real numbers, got {shown(value)}") from error
 

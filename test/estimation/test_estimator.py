@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import high_gain, proportional_integral
 from tsobs_ros.estimation.estimator import Estimator, Rows, SupervisionOptions
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.estimation.state import likeliest
+from tsobs_ros.estimation.state import likeliest, numbers_of
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.prediction import Record
@@ -108,7 +109,10 @@ def stepped(estimator: Estimator) -> list[Record]:
     for bad in (np.nan, np.inf, -np.inf, 1e200):
         for sample, held in ((np.full_like(y, bad), u), (y, np.full_like(u, bad))):
             worse, _ = estimator.correct(state, sample)
-            worse = estimator.predict(worse, held, T)
+            # `predict` refuses such inputs, but a program in C may have them.
+            numbers = (numbers_of(one) for one in (estimator.model, worse))
+            scratch = numbers_of(estimator.new_record("work"))
+            native.estimator_predict(*numbers, held, T, False, scratch)
             states += [worse, estimator.predict(estimator.correct(worse, y)[0], u, 3.3 * T)]
     return states
 
@@ -190,7 +194,14 @@ def test_numbers_of_another_shape_are_named() -> None:
         (lambda: estimator.correct(state, np.zeros(3)), r"y: expected shape \(2,\), got \(3,\)"),
         (lambda: estimator.predict(state, np.zeros(2), T), r"u: expected shape \(1,\), got \(2,\)"),
         (lambda: estimator.predict(state, [0.0], -T), "duration: expected a finite number"),
+        (lambda: estimator.predict(state, [0.0], 5e6), "duration: expected at most 3600 s, got 5e"),
+        (lambda: estimator.predict(state, [np.nan], T), "u: every entry must be finite, got .nan"),
+        (
+            lambda: estimator.predict(state, np.ma.array([0.0], mask=True), T),
+            "u: every entry must be finite",
+        ),
         (lambda: Tracker(estimator).offer_many([1, 2], y, u, 9), "measurements: expected y of"),
+        (lambda: Tracker(estimator).offer_many([1.5], y, u, 9), "stamps: expected whole ns, got"),
     ):
         with pytest.raises(ModelError, match=message):
             call()

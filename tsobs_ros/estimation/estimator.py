@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, non_negative
+from tsobs_ros.checks import Array, as_matrix, non_negative, numbers
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.state import Shape, copy_records, new_model, numbers_of, types_of
@@ -42,6 +42,9 @@ LEARNING = {
 
 _FIRST_PASS = 1.0
 """Length of the first pass [s]: while the estimate settles, the regressors are at their worst."""
+
+_LONGEST = 3600.0
+"""Longest prediction [s]: it is made in steps of a period."""
 
 _LASTING = 0.2
 """A disturbance with a mode slower than this [1/s] can stay at the value that it jumped to."""
@@ -228,9 +231,13 @@ class Estimator:
         holds on the whole interval to the next regular sample.
 
         Raises:
-            ModelError: The duration is negative or not finite, or the inputs have another shape.
+            ModelError: The duration is negative or not finite, or longer than an hour and a
+                thousand periods, or the inputs are not finite or have another shape.
         """
-        given = _vector("u", u, self.shape.m), non_negative("duration", duration), between_samples
+        longest = max(_LONGEST, 1000.0 * self.period)
+        if non_negative("duration", duration) > longest:
+            raise ModelError(f"duration: expected at most {longest:g} s, got {duration:g}")
+        given = as_matrix("u", u, (self.shape.m,)), float(duration), between_samples
         model, after, work = self.model, copy_records(state), self._work
         native.estimator_predict(numbers_of(model), numbers_of(after), *given, numbers_of(work))
         return after
@@ -243,7 +250,7 @@ class Estimator:
 
 
 def _vector(name: str, values: ArrayLike, length: int) -> Array:
-    array = np.array(values, np.float64)
+    array = numbers(name, values)
     if array.shape != (length,):
         raise ModelError(f"{name}: expected shape {(length,)}, got {array.shape}")
     return array

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, Flags, Integers, non_negative, positive
+from tsobs_ros.checks import Array, Flags, Integers, non_negative, positive, unmasked
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
@@ -214,7 +214,8 @@ class Tracker:
     def offer(self, measurement: Measurement, now: int) -> Outcomes:
         """Use one measurement, which may be late by up to `history`; see `offer_many`."""
         stamp, y, u = measurement
-        return self.offer_many([stamp], np.asarray(y)[np.newaxis], np.asarray(u)[np.newaxis], now)
+        many = np.asanyarray(y)[np.newaxis], np.asanyarray(u)[np.newaxis]
+        return self.offer_many([stamp], *many, now)
 
     def offer_many(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int) -> Outcomes:
         """Use measurements in the order of their stamps, or refuse them.
@@ -223,13 +224,13 @@ class Tracker:
         used.
 
         Args:
-            stamps: Stamps of N measurements, in any order [ns], shape (N,).
+            stamps: Stamps of N measurements, in any order [whole ns], shape (N,).
             y: Measured outputs, NaN if missing, shape (N, p).
             u: Inputs from each measurement until the next one, shape (N, m).
             now: Time on the clock of the stamps [ns].
 
         Raises:
-            ModelError: The arrays have other shapes.
+            ModelError: The arrays have other shapes, or a stamp is not an integer.
         """
         times, samples, inputs = self._checked(stamps, y, u)
         outcomes, order = _outcomes(*samples.shape), None
@@ -282,8 +283,11 @@ class Tracker:
     def _checked(
         self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
     ) -> tuple[Stamps, Array, Array]:
-        shape, times = self.estimator.shape, np.ascontiguousarray(stamps, np.int64)
-        samples, inputs = np.ascontiguousarray(y, np.float64), np.ascontiguousarray(u, np.float64)
+        shape, times = self.estimator.shape, np.ascontiguousarray(stamps)
+        if times.size and times.dtype.kind not in "iu":
+            raise ModelError(f"stamps: expected whole ns, got numbers of type {times.dtype}")
+        times = times.astype(np.int64, copy=False)
+        samples, inputs = (np.ascontiguousarray(unmasked(one), np.float64) for one in (y, u))
         count = len(times)
         if samples.shape != (count, shape.p) or inputs.shape != (count, shape.m):
             raise ModelError(
