@@ -80,10 +80,8 @@ def test_masked_samples_are_missing(design: Design) -> None:
     run = ts.simulate(design, duration=1.0, seed=3)
     masked = np.ma.array(run.angle, mask=np.arange(201) % 3 == 0)
     masked.data[masked.mask] = 9.0
-    made, missing = (
-        ts.estimate(design, run.time, angle, run.torque)
-        for angle in (masked, masked.filled(np.nan))
-    )
+    each = masked, masked.filled(np.nan)
+    made, missing = (ts.estimate(design, run.time, angle, run.torque) for angle in each)
     assert made.state.tobytes() == missing.state.tobytes()
     tracker = ts.make_tracker(design)
     tracker.offer(ts.Measurement(5_000_000, y=masked[:1], u=run.torque[:1]), now=5_000_000)

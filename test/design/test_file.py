@@ -208,6 +208,10 @@ SYSTEM = [
     (("system", "rules"), [], "rules: expected at least one"),
     (("system", "premises", "angle"), {}, "system.premises.angle: expected at least one of state"),
     (("system", "rules", 0, "A"), [[1], [2]], r"rules\[0\].A: expected a square .* \(2, 1\)"),
+    (("system", "rules", 0, "A"), -1, r"rules\[0\].A: expected a matrix, as \[\[1.0\]\], got -1.0"),
+    (("system", "rules", 0, "B"), [1, 2], r"system.rules\[0\].B: expected a matrix, as .* got arr"),
+    (("system", "C"), 1, "system.C: expected a matrix, as .* got 1.0"),
+    (("D_s",), [[1]], r"D_s: expected shape \(2, 2\), got \(1, 1\)"),
     (("system", "rules", 1, "A"), [[1], [2]], r"system.rules\[1\].A: expected shape \(2, 2\), got"),
     (
         ("system", "rules", 0, "if"),
@@ -296,6 +300,10 @@ def test_a_design_has_matrices_of_the_right_shape_and_a_bound(design: Design) ->
         ({"P": np.eye(4)}, r"P: expected shape \(5, 5\), got \(4, 4\)"),
         ({"K": np.zeros(5)}, r"K: expected shape \(5, 1\), got \(5,\)"),
         ({"P": np.full((5, 5), math.nan)}, "P: every entry must be finite"),
+        (
+            {"request": replace(design.arm_request, rate=2e6)},
+            r"rate: expected at most 1e\+06 Hz, got 2e\+06",
+        ),
     ):
         with pytest.raises(ModelError, match=message):
             replace(design, **change)

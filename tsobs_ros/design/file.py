@@ -344,9 +344,13 @@ class _System:
         for name in ("rules", "premises"):
             if not getattr(self, name):
                 raise ValueError(f"{name}: expected at least one")
-        n, p, inputs = len(self.rules[0].A), len(self.C), self.rules[0].B.shape[1:]
-        if (first := self.rules[0].A.shape) != (n, n):
-            raise ValueError(f"rules[0].A: expected a square matrix, got shape {first}")
+        first = self.rules[0]
+        for name, matrix in (("rules[0].A", first.A), ("rules[0].B", first.B), ("C", self.C)):
+            if np.ndim(matrix) != 2:
+                raise ValueError(f"{name}: expected a matrix, as [[1.0]], got {shown(matrix)}")
+        n, p, inputs = len(first.A), len(self.C), first.B.shape[1:]
+        if first.A.shape != (n, n):
+            raise ValueError(f"rules[0].A: expected a square matrix, got shape {first.A.shape}")
         C = as_matrix("C", self.C, (p, n))
         rules, outputs = [], []
         for i, rule in enumerate(self.rules):
@@ -356,7 +360,7 @@ class _System:
                 outputs.append(as_matrix("C", C if rule.C is None else rule.C, (p, n)))
                 rules.append(tuple(rule.memberships(self.premises)))
         given = [each.scheduled for each in self.premises.values()]
-        width = max((len(each) for each in given if each is not None), default=0)
+        width = max((np.size(each) for each in given if each is not None), default=0)
         premise, schedule = (np.zeros((len(given), columns)) for columns in (n, width))
         for row, (name, each) in enumerate(self.premises.items()):
             with within(f"premises.{name}"):

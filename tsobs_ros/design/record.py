@@ -22,6 +22,9 @@ from tsobs_ros.estimation.estimator import (
 )
 from tsobs_ros.model.matrices import inverse
 
+MAX_RATE = 1e6
+"""Largest rate of an estimator's samples [Hz]."""
+
 
 @dataclass(frozen=True)
 class SolverReport:
@@ -53,7 +56,8 @@ class Design:
         source: The text of that file; empty if there is none.
 
     Raises:
-        ModelError: A matrix is not finite or has the wrong shape, or a disturbance is arbitrary.
+        ModelError: A matrix is not finite or has the wrong shape, a disturbance is arbitrary, or
+            the rate above 1 MHz.
 
     >>> from tsobs_ros.design.file import load_design
     >>> from tsobs_ros.resources import config_path
@@ -76,6 +80,8 @@ class Design:
                 "disturbance: expected one with a model, as arbitrary ones explain every output "
                 "and nothing is proved for them"
             )
+        if self.request.rate > MAX_RATE:
+            raise ModelError(f"rate: expected at most {MAX_RATE:g} Hz, got {self.request.rate:g}")
         p, n = self.request.flow.output_matrix.shape
         object.__setattr__(self, "P", as_matrix("P", self.P, (n, n)))
         object.__setattr__(self, "K", as_matrix("K", self.K, (n, p)))

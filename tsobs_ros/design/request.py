@@ -601,7 +601,7 @@ class TSRequest(Request):
         model, (n, p) = self.model, (self.model.state_count, len(self.model.C))
         shapes = {"process_noise": (n,), "measurement_std": (p,), "initial_std": (n,)}
         if self.D_s is not None:
-            shapes["D_s"] = np.shape(self.D_s)
+            shapes["D_s"] = p, len(self.disturbance or p * [CLEAN])
         for name, shape in shapes.items():
             self._take(**{name: as_matrix(name, getattr(self, name), shape)})
         for name in ("measurement_std", "initial_std"):
