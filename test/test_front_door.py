@@ -172,6 +172,37 @@ def test_what_makes_no_sense_is_refused(design: Design, options, match) -> None:
         call()
 
 
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda: ts.make_tracker("a.yaml"), "design: expected a Design .*, got 'a.yaml'"),
+        (lambda: ts.export_c(3, "a.c"), "design: expected a Design .*, got 3"),
+        (lambda: ts.save_design("a.yaml", "b.yaml"), "design: expected Design, got 'a.yaml'"),
+        (lambda: ts.synthesise("a.yaml"), "request: expected a request, .* got 'a.yaml'"),
+        (lambda: ts.excite(LOG), "request: expected an ArmRequest, .* got .*Path"),
+        (lambda: ts.estimate_bag(LOG, settings=3), "settings: expected an ObserverSettings, got 3"),
+        (lambda: ts.make_tracker(ts.load_design(), 3), "settings: expected an .*, got 3"),
+        (lambda: ts.load_design().observer(gain_mode="best"), "gain_mode: expected .*riccati, got"),
+        (
+            lambda: ts.ArmRequest(certify_uncertainty="no"),
+            "certify_.*: expected True or False, got 'no'",
+        ),
+        (lambda: ts.ArmRequest(disturbance="bias"), "^disturbance: expected a list of .*'bias'"),
+        (lambda: ts.ArmRequest(disturbance=[{"kind": "bias"}]), "disturbance: expected a list of"),
+        (
+            lambda: ts.ArmRequest(outputs=["link_angle"]),
+            r"outputs\[0\]: expected Output, got 'link",
+        ),
+        (lambda: ts.ArmRequest(uncertainty=None), "uncertainty: expected Mapping, got None"),
+        (lambda: ts.ArmRequest(None), "arm: expected ElasticJointArm, got None"),
+        (lambda: ts.simulate(rate=0), "rate: expected a finite number of at least 0.01 Hz, got 0"),
+    ],
+)
+def test_arguments_of_other_types_are_named(call, match: str) -> None:
+    with pytest.raises(ts.TsobsError, match=match):
+        call()
+
+
 def test_text_is_no_setting_of_another_type() -> None:
     with pytest.raises(ts.TsobsError, match="parameter 'adapt': expected true or false, got"):
         ts.ObserverSettings(adapt="false")  # type: ignore[arg-type]

@@ -21,7 +21,7 @@ from tsobs_ros.estimation.health import judge_rate, rate_of
 from tsobs_ros.estimation.records import HEALTH, Basis, RejectReason
 from tsobs_ros.estimation.state import types_of
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker
+from tsobs_ros.methods import METHODS, ObserverSettings, given_or_default, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED, health_of
@@ -191,7 +191,7 @@ def simulate(
         arm = ArmRequest(arm or ElasticJointArm())
     request = arm if isinstance(arm, ArmRequest | TSRequest) else _design("arm", arm).request
     is_arm, names = isinstance(request, ArmRequest), request.output_names
-    others: dict[str, Any] = {"rate": rate or request.rate, "duration": duration}
+    others: dict[str, Any] = {"rate": request.rate if rate is None else rate, "duration": duration}
     if is_arm:
         check_names("torque_disturbance", torque_disturbance or {}, SIDES)
         others["friction"] = changed(Friction(), friction or {})
@@ -278,7 +278,7 @@ def estimate(
     >>> estimates.used, estimates.rejected
     (401, {})
     """
-    design, settings = _design("design", design), settings or ObserverSettings()
+    design, settings = _design("design", design), given_or_default(settings)
     times, request = numbers("time", time), design.request
     stamps, tracker = _stamps(times), make_tracker(design, settings)
     y = _columns("angle", angle, len(times), len(request.output_names))
@@ -440,7 +440,7 @@ def _observers(
     # Not needed for arrays, and slow to import.
     from tsobs_ros.replay.estimate import make_observers, open_source, without_misfits
 
-    no_torque = None if settings is None else settings.assume_zero_torque
+    no_torque = None if settings is None else given_or_default(settings).assume_zero_torque
     source = open_source(path, joints=joints, assume_zero_torque=no_torque, held_out=held_out)
     if design is None:
         designs = source.choose_designs()

@@ -46,6 +46,12 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+def expect(name: str, value: object, kind: Any, words: str = "") -> None:
+    """Raise `ModelError` for a value that is not of a class, which `words` name."""
+    if not isinstance(value, kind):
+        raise ModelError(f"{name}: expected {words or kind.__name__}, got {shown(value)}")
+
+
 def unmasked(value: Any) -> Any:
     """Return a masked array with NaN in place of the masked entries, any other value as it is."""
     is_masked = isinstance(value, np.ma.MaskedArray)

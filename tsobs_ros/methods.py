@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tsobs_ros.checks import expect
 from tsobs_ros.core import native
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
@@ -214,6 +215,12 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     return estimator
 
 
+def given_or_default(settings: ObserverSettings | None) -> ObserverSettings:
+    """Return settings, the node's defaults if None, or raise `ModelError` if they are none."""
+    expect("settings", settings, ObserverSettings | None, "an ObserverSettings")
+    return settings or ObserverSettings()
+
+
 def make_tracker(
     design: Design, settings: ObserverSettings | None = None, estimator: Estimator | None = None
 ) -> Tracker:
@@ -225,8 +232,8 @@ def make_tracker(
         estimator: The observer if it exists already, as joints with the same design share one.
 
     Raises:
-        ModelError: The method cannot observe this model, a time is negative, or `stale_after` is
-            not longer than the design's period.
+        ModelError: The method cannot observe this model, a time is negative, `stale_after` is not
+            longer than the design's period, or an argument is of another type.
 
     >>> import numpy as np
     >>> import tsobs_ros as ts
@@ -237,7 +244,8 @@ def make_tracker(
     >>> tracker.estimate(stamp).state.shape
     (4,)
     """
-    settings = settings or ObserverSettings()
+    expect("design", design, Design, "a Design (of load_design or synthesise)")
+    settings = given_or_default(settings)
     if settings.stale_after <= design.request.period:
         raise ModelError(
             f"stale_after: expected more than the design's period, {design.request.period:g} s, "

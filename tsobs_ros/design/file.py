@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from tsobs_ros.checks import Array, as_matrix, check_names, shown
+from tsobs_ros.checks import Array, as_matrix, check_names, expect, shown
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TorqueDisturbance, TSRequest
 from tsobs_ros.errors import DesignFileError
@@ -67,7 +67,9 @@ def save_design(design: Design, path: FilePath) -> None:
 
     Raises:
         DesignFileError: The file cannot be written.
+        ModelError: It is not a design.
     """
+    expect("design", design, Design)
     write_whole(path, design_text(design), DesignFileError)
 
 

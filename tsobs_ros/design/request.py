@@ -20,7 +20,17 @@ from typing import Any, ClassVar, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, Fixed, as_matrix, finite, fixed, non_negative, positive
+from tsobs_ros.checks import (
+    Array,
+    Fixed,
+    as_matrix,
+    expect,
+    finite,
+    fixed,
+    non_negative,
+    positive,
+    shown,
+)
 from tsobs_ros.design.signals import (
     NO_LABELS,
     Field,
@@ -86,6 +96,14 @@ class Channel:
     def model(self) -> DisturbanceModel:
         """The sum of the terms."""
         return sum_of(self.terms)
+
+
+def checked_terms(name: str, terms: Any) -> tuple[DisturbanceTerm, ...]:
+    """Return the terms of a disturbance, or raise `ModelError` if they are none."""
+    found = tuple(terms) if isinstance(terms, Iterable) else (terms,)
+    if not all(isinstance(term, DisturbanceTerm) for term in found):
+        raise ModelError(f"{name}: expected a list of DisturbanceTerm, got {shown(terms)}")
+    return found
 
 
 def require_squares(name: str, values: Iterable[float]) -> None:
@@ -229,7 +247,8 @@ class Request(ABC):
         )
 
     def _check_rates(self) -> None:
-        """Check the rates, and refuse tones that sampling would alias."""
+        """Check rates and what is certified, and refuse tones that sampling would alias."""
+        expect("certify_uncertainty", self.certify_uncertainty, bool, "True or False")
         self._take(
             rate=positive("rate", self.rate), decay_rate=non_negative("decay_rate", self.decay_rate)
         )
@@ -269,7 +288,7 @@ class Output:
         require_squares("measurement_std", [std])
         object.__setattr__(self, "measurement_std", std)
         object.__setattr__(self, "delay", non_negative("delay", self.delay))
-        object.__setattr__(self, "disturbance", tuple(self.disturbance))
+        object.__setattr__(self, "disturbance", checked_terms("disturbance", self.disturbance))
 
     @property
     def model(self) -> DisturbanceModel:
@@ -301,7 +320,7 @@ class TorqueDisturbance:
 
     def __post_init__(self) -> None:
         for side in SIDES:
-            terms = tuple(getattr(self, side))
+            terms = checked_terms(side, getattr(self, side))
             object.__setattr__(self, side, terms)
             for place, term in enumerate(terms):
                 if term.kind == "arbitrary":
@@ -361,6 +380,14 @@ class ArmRequest(Request):
     """The measured quantities, one entry per output."""
 
     def __post_init__(self) -> None:
+        for name, kind in (
+            ("arm", ElasticJointArm),
+            ("process_noise", ProcessNoise),
+            ("torque_disturbance", TorqueDisturbance),
+            ("torque", TorquePath),
+            ("uncertainty", Mapping),
+        ):
+            expect(name, getattr(self, name), kind)
         own: dict[str, Any] = {
             name: value
             for name in ("disturbance", "measurement_std")
@@ -375,6 +402,8 @@ class ArmRequest(Request):
         elif not self.outputs:
             raise ModelError("outputs: expected at least one")
         sensors = (alone,) if self.outputs is None else tuple(self.outputs)
+        for place, output in enumerate(sensors):
+            expect(f"outputs[{place}]", output, Output)
         measured = tuple(each.measures for each in sensors)
         self.arm.measured(measured, [each.delay for each in sensors])
         given = {each.measures: each.disturbance for each in sensors}
@@ -599,6 +628,7 @@ class TSRequest(Request):
 
     def __post_init__(self) -> None:
         model, (n, p) = self.model, (self.model.state_count, len(self.model.C))
+        shapes: dict[str, tuple[int, ...]]
         shapes = {"process_noise": (n,), "measurement_std": (p,), "initial_std": (n,)}
         if self.D_s is not None:
             shapes["D_s"] = p, len(self.disturbance or p * [CLEAN])
@@ -607,7 +637,10 @@ class TSRequest(Request):
         for name in ("measurement_std", "initial_std"):
             require_squares(name, getattr(self, name).tolist())
         self._take(
-            disturbance=tuple(map(tuple, self.disturbance or p * [CLEAN])),
+            disturbance=tuple(
+                checked_terms(f"disturbance[{i}]", terms)
+                for i, terms in enumerate(self.disturbance or p * [CLEAN])
+            ),
             slope_vertices=tuple(
                 as_matrix(f"slope_vertices[{i}]", matrix, (n, n))
                 for i, matrix in enumerate(self.slope_vertices)

@@ -37,11 +37,11 @@ import cvxpy as cp
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, expect
 from tsobs_ros.design.certificate import check_certificate
 from tsobs_ros.design.feasibility import find_obstacles, require_detectable
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
+from tsobs_ros.design.request import AnyRequest, ArmRequest, Output, TSRequest
 from tsobs_ros.errors import DesignError, ModelError
 from tsobs_ros.model.arm import ANGLES
 from tsobs_ros.model.disturbance import CLEAN, DisturbanceTerm
@@ -83,6 +83,7 @@ def synthesise(request: AnyRequest) -> Design:
         DetectabilityError: No observer can exist; the message names the hidden mode and the reason.
         DesignError: The solver found no common matrix P, or its answer failed the re-check.
     """
+    expect("request", request, ArmRequest | TSRequest, "a request, as of load_request")
     try:
         require_detectable(request)
         return Design(request, *solve_gain(request))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, non_negative, numbers
+from tsobs_ros.checks import Array, as_matrix, check_names, non_negative, numbers
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.state import Shape, copy_records, new_model, numbers_of, types_of
@@ -354,7 +354,7 @@ def certified_estimator(
             (plant,); raised to the initial 1σ if smaller.
 
     Raises:
-        ModelError: As `riccati_estimator`, or a number is negative.
+        ModelError: As `riccati_estimator`, a number is negative, or there is no such `gain_mode`.
     """
     covariances = (measurement_covariance, initial_covariance)
     estimator = riccati_estimator(flow, *covariances, uncertainty, auxiliary=True)
@@ -381,6 +381,7 @@ def certified_estimator(
     one["domain"] = np.sqrt(np.diag(initial_covariance)[:plant])
     if domain is not None:
         one["domain"] = np.maximum(one["domain"], domain / np.abs(one["scale"]))
+    check_names("gain_mode", [gain_mode], GAIN_MODES)
     if gain_mode == "certified":
         one["gain_mode"] = native.GAIN_CERTIFIED
     K, X, R = as_matrix("K", K, (n, p)), as_matrix("X", X, (n, n)), one["R"]

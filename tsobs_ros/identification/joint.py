@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, expect
 from tsobs_ros.design.file import arm_entries
-from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES, TorquePath
 from tsobs_ros.model.disturbance import DisturbanceTerm
@@ -240,8 +240,9 @@ def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
 
 def require_arm(request: object) -> None:
     """Refuse a request that is not for an arm."""
-    if not isinstance(request, ArmRequest):
+    if isinstance(request, TSRequest):
         raise ModelError("request: expected one for an arm; a T-S system has no numbers to fit")
+    expect("request", request, ArmRequest, "an ArmRequest, as of load_request")
 
 
 def _rounded(value: float) -> float:
