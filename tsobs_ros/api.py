@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tsobs_ros.checks import Array, Flags, as_matrix, check_names, numbers, shown
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.health import judge_rate, rate_of
 from tsobs_ros.estimation.records import HEALTH, Basis, RejectReason
@@ -71,9 +71,9 @@ class Simulation:
 class Estimates:
     """Estimates at n instants; NaN in a row without an estimate.
 
-    Shapes are those of an arm with one encoder. For p outputs, disturbances have shape (n, p) and
-    innovations (i, p), NaN for an output that was not used. The states of a T–S system are the
-    model's.
+    Shapes are those of an arm with one encoder. For p outputs or a T–S system, disturbances have
+    shape (n, p) and innovations (i, p), NaN for an output that was not used. The states of a T–S
+    system are the model's.
 
     Attributes:
         time: Instants [s], shape (n,).
@@ -299,8 +299,8 @@ def estimate(
     reasons = ", ".join(reason.text for reason in rejected)
     misfit = health.misfit if health else f"no estimate was made; rejected: {reasons}"
     _warn(text if off else None, misfit)
-    several, innovations = np.ndim(angle) == 2, made.outcomes.innovations
-    return _estimates(tracker, times, made.rows, times, innovations, rejected, several)
+    innovations = made.outcomes.innovations
+    return _estimates(request, tracker, times, made.rows, times, innovations, rejected)
 
 
 class BagEstimates(NamedTuple):
@@ -363,13 +363,13 @@ def estimate_bag(
     for joint, name in enumerate(source.joints):
         made, innovations = run.kept(joint)
         joints_of[name] = _estimates(
+            observers[0].designs[joint].request,
             run.trackers[joint],
             made.stamps / NANOSECONDS,
             made.rows,
             innovations.seconds(),
             innovations.values,
             run.rejected,
-            several=len(run.signals[joint].outputs) > 1,
         )
     live = run.agreement()
     reproduced = None if live is None or not live.recorded else live.reproduced / live.recorded
@@ -488,15 +488,15 @@ def _components(disturbance: Disturbance) -> list[Any]:
 
 
 def _estimates(
+    request: AnyRequest,
     tracker: Tracker,
     time: Array,
     rows: Any,
     innovation_time: Array,
     innovations: Array,
     rejected: Mapping[RejectReason, int],
-    several: bool,
 ) -> Estimates:
-    """Return estimates as plain arrays, with a column per output if there are several."""
+    """Return estimates as plain arrays, with a column per output but of an arm with only one."""
     estimator, used = tracker.estimator, np.isfinite(innovations).any(axis=1)
     types = types_of(tuple(estimator.model["sizes"][0].tolist()))["estimate"]
     columns: dict[str, Any] = {}
@@ -507,7 +507,7 @@ def _estimates(
     for name in ("claimed", "parameters_valid", "in_domain"):
         columns[name] = columns[name] == 1.0
     kept = innovations[used]
-    if not several:
+    if isinstance(request, ArmRequest) and len(request.output_names) == 1:
         kept = kept[:, 0]
         for name in ("disturbance", "disturbance_bound"):
             columns[name] = columns[name][:, 0]

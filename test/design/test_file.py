@@ -219,6 +219,7 @@ SYSTEM = [
         r"\[0\].if: expected some of angle, got 'speed'",
     ),
     (("names",), {"states": ["a", "b/c"]}, r"names.states\[1\]: expected a letter, .* got 'b/c'"),
+    (("names",), {"outputs": ["e", "Time"]}, "names: expected none of a log's .* got 'Time'"),
     (("names",), {"outputs": ["e", "u1"]}, "names of outputs and inputs: .* 'u1' twice"),
     (("units",), {"states": ["m", "m"], "inputs": ["N"]}, "units.outputs: expected 2, .* got 0"),
     (("uncertainty", "gravity", "E"), [[0]], r"uncertainty.gravity.E: expected shape \(2, 2\), go"),

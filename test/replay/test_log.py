@@ -158,6 +158,9 @@ def test_times_in_ms_that_are_read_as_s_are_suspected(estimate, tmp_path) -> Non
         (("t,q [lb],tau", "1,2,3"), {}, "unit 'lb' of angle is not known; there are rad"),
         (("t,q [deg],tau", "1,2,3"), {"units": {"angle": "rad"}}, "its unit is not the given one"),
         (("t,q,q,tau", "1,2,3,4"), {}, "several columns are called 'q'"),
+        (("t,q,tau", "1,1_0,3"), {}, "line 2, column 'q': expected a number in rad, got '1_0'"),
+        (("t,q,tau", "1_0,1,3"), {}, "line 2, column 't': expected a time in s, .* got '1_0'"),
+        (("t,q,tau", "1,2,3"), {"columns": {"time": "q"}}, "'q' is taken for time and for link_an"),
         (("t,q,tau", "1,2,3"), {"columns": {"angle": "z"}}, "no column is called 'z'"),
         (
             ("t,q,tau", "1,2,3"),

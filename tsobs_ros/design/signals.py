@@ -18,6 +18,7 @@ from tsobs_ros.errors import ModelError
 Field: TypeAlias = Literal["position", "velocity", "effort"]
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_TIMES = ("time", "stamp", "timestamp")
 _MAX_LENGTH = 60
 
 
@@ -55,7 +56,7 @@ def checked_labels(names: Labels, units: Labels, counts: Sequence[int]) -> tuple
 
     Raises:
         ModelError: A group has not one text per signal, a text is not plain, or two signals share a
-            name; the message names the entry.
+            name or have that of a log's times; the message names the entry.
     """
     groups = zip(vars(names).values(), counts, "xyus", strict=True)
     names = Labels(
@@ -83,6 +84,9 @@ def checked_labels(names: Labels, units: Labels, counts: Sequence[int]) -> tuple
         if twice := [name for name in each if each.count(name) > 1]:
             where = " and ".join(together)
             raise ModelError(f"names of {where}: expected all to differ, got {twice[0]!r} twice")
+    for name in names.outputs + names.inputs + names.scheduled:
+        if name.lower() in _TIMES:
+            raise ModelError(f"names: expected none of a log's column of times, got {name!r}")
     return names, units
 
 

@@ -185,8 +185,8 @@ class CsvFile:
                 yield "" if line.lstrip().startswith("#") else line
 
     def _number(self, line: int, cells: Sequence[str], column: Column) -> float:
-        text = self._pointed(cells[column.place])
         try:
+            text = self._pointed(cells[column.place])
             return math.nan if text.lower() in _NOTHING else float(text)
         except ValueError as error:
             what = f"number in {column.unit}" if column.unit else "number"
@@ -215,7 +215,13 @@ class CsvFile:
         return stamp
 
     def _pointed(self, text: str) -> str:
-        """Return a number with a decimal point; commas that separate no cells are decimal."""
+        """Return a number with a decimal point; commas that separate no cells are decimal.
+
+        Raises:
+            ValueError: It has an underscore, which Python would leave out.
+        """
+        if "_" in text:
+            raise ValueError
         return text.strip() if self._delimiter == "," else text.strip().replace(",", ".")
 
 

@@ -390,12 +390,15 @@ def open_source(
     Raises:
         BagReadError: The bag cannot be read, or lacks the measurements.
         LogError: The log cannot be read.
-        ParameterError: A joint is named twice, or columns or units are named for a bag.
+        ParameterError: A joint is named twice, columns or units are named for a bag, or a topic
+            for a log.
     """
     path, zero = Path(path), assume_zero_torque
     if len(set(joints)) < len(joints):
         raise ParameterError(f"joints: expected names, each once, got {list(joints)}")
     if is_log(path):
+        if topic is not None:
+            raise ParameterError(f"{path}: --topic is for bags, and this is a CSV log")
         return LogSource(
             path, columns, units, joints, assume_zero_torque=bool(zero), held_out=held_out
         )

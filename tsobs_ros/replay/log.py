@@ -139,6 +139,16 @@ class LogSource(BagSource):
                     f"sensor: --held-out {sensor}=COLUMN"
                 )
             self.held_out_columns += (column.title,)
+        users = dict[int, _Signal]()
+        for one, column in found.items():
+            other = users.setdefault(column.place, one)
+            # A scheduled signal of a T-S system may be one of its outputs.
+            is_other = (other.label, other.quantity) != (one.label, one.quantity)
+            if is_other and (other.quantity or one.quantity):
+                raise LogError(
+                    f"column {column.title!r} is taken for {other.label} and for {one.label}; name "
+                    f"another one: --columns {one.label}=COLUMN"
+                )
         return found.pop(_TIME), [(one.place, column) for one, column in found.items()]
 
     def _signals(self, joint: int, sensor: str) -> Iterator[_Signal]:
