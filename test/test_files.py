@@ -21,7 +21,7 @@ from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.cli.main import main
 from tsobs_ros.errors import OutputError
-from tsobs_ros.files import written_whole
+from tsobs_ros.files import write_whole, written_whole
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.yaml_files import load_yaml
 
@@ -103,6 +103,11 @@ def test_files_move_below_folders_that_are_there_and_replace_none(tmp_path: Path
         write("newer")
     assert (tmp_path / "deep" / "a").read_text() == "new"
     assert {each.name for each in tmp_path.rglob("*")} == {"deep", "a", "b"}
+
+
+def test_a_folder_in_a_file_s_place_is_named(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=f"^{tmp_path}: cannot write it: a folder is there"):
+        write_whole(tmp_path, "text")
 
 
 def config(folder: Path) -> str:

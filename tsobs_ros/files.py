@@ -108,6 +108,8 @@ def write_whole(
     Raises:
         TsobsError: It cannot be written, or exists and may not be replaced; of the class `error`.
     """
+    if Path(path).is_dir():
+        raise error(f"{path}: cannot write it: a folder is there")
     with written_whole(Path(path).parent, error, force=force) as folder:
         data = content.encode() if isinstance(content, str) else content
         (folder / Path(path).name).write_bytes(data)

@@ -157,6 +157,8 @@ def test_disturbances_with_a_model_in_the_design_are_foreseen() -> None:
         ({"design": "paper_example_1.design.yaml"}, "expected one for an arm"),
         ({"observer": {"gate": 3.0}}, "parameter 'gate': expected one of method"),
         ({"scenarios": {"a": {"weight": 0}}}, "scenarios.a.weight: expected a whole number"),
+        ({"scenarios": {"a": {"weight": 10**9}}}, "scenarios.a.weight: .* to 10000, got 10000000"),
+        ({"excitation": {"kind": "foo"}}, "scenarios.as_designed.excitation.kind: expected"),
         (
             {"scenarios": {"a": {"disturbance": [{"kind": "ramp", "slope": 1}]}}},
             r"scenarios.a.disturbance\[0\].* unknown entry 'slope'",

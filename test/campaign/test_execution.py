@@ -56,6 +56,14 @@ def test_rows_depend_on_their_numbers_alone(short: Campaign, done: Path) -> None
             assert column.tobytes() == together[name][run : run + 1].astype(column.dtype).tobytes()
 
 
+def test_an_error_of_a_scenario_names_the_file(
+    write: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(scenarios={"a": {"noise": -1.0}})
+    assert main(["campaign", str(path), "--output", str(tmp_path / "campaign")]) == 1
+    assert f"error: {path}: scenarios.a: " in capsys.readouterr().err
+
+
 def test_a_run_that_diverges_refutes_no_bound(write: Callable[..., Path]) -> None:
     huge = {"x": {"link_torque": [{"kind": "bias_step", "amplitude": 1e308, "start": 0.5}]}}
     row = compute(load_campaign(write(runs=1, scenarios=huge)), 0, 1)

@@ -57,12 +57,14 @@ def test_a_recording_of_no_use_is_refused(log: Recorded, name: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.filterwarnings("error")
 def test_what_is_asked_of_recordings_is_checked(log: Recorded) -> None:
     time, y, u = log
     for request, logs, options, message in (
         (request_of(x_max=0.1), [log], {}, r"beyond 0\.1 rad: .*widen x_max"),
         (request_of(), [(time, y[:, 0], u)], {}, r"outputs \(n, 2\)"),
         (request_of(), [], {}, "at least one recording"),
+        (request_of(), [(time, y * [np.nan, 1.0], u)], {}, "motor_angle: only 0 samples"),
         (request_of(), [log], {"held_out": 1.0}, "held_out: expected a share"),
     ):
         with pytest.raises(ts.TsobsError, match=message):

@@ -25,6 +25,7 @@ from tsobs_ros.yaml_files import read_yaml, yaml_text
 
 FORMAT, VERSION = "tsobs_ros campaign", 1
 CAMPAIGN = "campaign.yaml"
+_MAX_WEIGHT = 10_000
 
 _HEADER = "# The campaign of this folder's runs, written by `tsobs campaign`.\n"
 
@@ -138,9 +139,9 @@ class Campaign:
         """The scenarios that runs use in turn; those of a larger weight come more often."""
         weights = {name: one.get("weight", 1) for name, one in self.entries.scenarios.items()}
         for name, weight in weights.items():
-            if not isinstance(weight, int) or weight < 1:
+            if not isinstance(weight, int) or not 1 <= weight <= _MAX_WEIGHT:
                 raise ModelError(
-                    f"scenarios.{name}.weight: expected a whole number of at least 1, "
+                    f"scenarios.{name}.weight: expected a whole number from 1 to {_MAX_WEIGHT}, "
                     f"got {weight!r}"
                 )
         # Scenarios alternate, instead of coming in blocks, so that a few runs already cover most.

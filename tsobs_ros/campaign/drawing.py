@@ -165,11 +165,13 @@ def _scenario(
                 own += _signals("disturbance", entries.disturbance)
                 with within("sensor"):
                     own.append(sensor_numbers(entries.sensor))
+    with within("excitation"):
+        excitation = signal_of(EXCITATIONS, given.excitation)
     found = scenario_of(
         request,
         mismatch,
         initial_state=given.initial_state,
-        excitation=signal_of(EXCITATIONS, given.excitation),
+        excitation=excitation,
         signals=signals,
         noise_factor=given.noise,
         process_noise_factor=given.process_noise * given.process_noise,

@@ -50,12 +50,16 @@ def run(options: argparse.Namespace) -> int:
             options.parser.error(f"--rerun: expected the number of a run, got {options.rerun[0]}")
         return _rerun(options)
     from tsobs_ros.campaign.definition import load_campaign
+    from tsobs_ros.campaign.drawing import check
     from tsobs_ros.campaign.folder import SUMMARY, run_campaign
     from tsobs_ros.campaign.summary import render, summarise
+    from tsobs_ros.schema import naming
 
     begin, campaign = time.monotonic(), load_campaign(options.campaign)
     if options.runs is not None:
         campaign = campaign.with_runs(options.runs)
+    with naming(options.campaign):
+        check(campaign)
     with progress(campaign.entries.runs, " runs", quiet=options.json) as advance:
         try:
             columns = run_campaign(

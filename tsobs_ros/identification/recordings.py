@@ -112,7 +112,8 @@ def _zeros(request: ArmRequest, y: Array) -> Array:
         if place == angles[0]:
             # Without gravity an angle has no natural zero.
             far = np.zeros(1) if request.arm.gravity_torque else y[:, place]
-        apart = float(np.nanmedian(far))
+        known = far[np.isfinite(far)]
+        apart = float(np.median(known)) if len(known) else 0.0
         if abs(apart) > _FAR and not request.sensors[place].model.state_count:
             zeros[place] = float(f"{apart:.4g}")
     return zeros
