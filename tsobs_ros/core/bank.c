@@ -234,7 +234,10 @@ static void clear_auxiliary(const model *m, const hypothesis *h, long first, lon
 static void change_kind(const model *m, const state *at, const hypothesis *h, int64_t kind)
 {
     *h->kind = kind;
-    *h->size = kind == DRIFT ? m->constants[DRIFT_SIZE] : kind == FORCE ? 1.0 : *h->size;
+    *h->size = kind == DRIFT            ? m->constants[DRIFT_SIZE]
+               : kind == COLOURED_NOISE ? m->constants[COLOUR_SIZE]
+               : kind == FORCE          ? 1.0
+                                        : *h->size;
     clear_auxiliary(m, h, m->s.n + (kind == FORCE || *at->in_gap != 0), m->s.width);
 }
 
@@ -856,10 +859,11 @@ static int is_loud(const model *m, double size)
  * them, so that one hypothesis stays near the arm if all others follow a large tone. While a young
  * IMPERFECT is the best, every second fork supposes that only the parameters were wrong, which is
  * as likely unless the noise is loud. While DRIFT is the best, every second one supposes the other
- * of two sizes, as one between them looks like a torque. While FORCE is the best for a T-S system,
- * every second one supposes an unknown input that is three times smaller or larger, in turn; for an
- * arm, a larger torque would also explain a slow tone. In other noise, another fork supposes the
- * parameters of the hypothesis whose turn it is, if that knows them better. */
+ * of two sizes, as one between them looks like a torque. While COLOURED_NOISE is the best, or
+ * FORCE for a T-S system, every second one supposes that noise or input three times smaller or
+ * larger, in turn; for an arm, a larger torque would also explain a slow tone. In other noise,
+ * another fork supposes the parameters of the hypothesis whose turn it is, if that knows them
+ * better. */
 static void suppose_otherwise(const model *m, const state *at)
 {
     const double *c = m->constants;
@@ -875,10 +879,11 @@ static void suppose_otherwise(const model *m, const state *at)
     const int is_likely = tries_design && !is_loud(m, scale_of(m, at));
     const double score = *best.score - (is_likely ? 0.0 : 0.5 * c[FLOOR]);
     const long free = place_for(m, at, -INFINITY);
-    const int is_input = place == FORCE && *m->design_flow.kind == KIND_SYSTEM;
-    if ((place == DRIFT || is_input) && count % 2 == 1 && free >= 0) {
+    const int is_scaled = place == COLOURED_NOISE
+                          || (place == FORCE && *m->design_flow.kind == KIND_SYSTEM);
+    if ((place == DRIFT || is_scaled) && count % 2 == 1 && free >= 0) {
         const hypothesis h = begin_from_best(m, at, free, OTHERWISE, score);
-        if (is_input) {
+        if (is_scaled) {
             *h.size *= count % 4 == 1 ? 1.0 / 3.0 : 3.0;
         } else {
             *h.size = c[DRIFT_SIZE] * (*h.size < c[DRIFT_SIZE] ? 1.0 : 0.5);

@@ -82,7 +82,7 @@ enum {
     C(FORCE_SHARE, 0.02, "1 sigma of the unknown torque, relative to the reference torque")       \
     C(FORCE_TIME, 1.0, "correlation time of the unknown torque [s]")                              \
     C(COLOUR_TIME, 0.05, "correlation time of coloured noise [s]")                                \
-    C(COLOUR_SIZE, 1.5, "1 sigma of coloured noise, relative to the sensor's white noise")        \
+    C(COLOUR_SIZE, 1.5, "first 1 sigma of coloured noise, relative to white noise")                  \
     C(DRIFT_SIZE, 2.0, "1 sigma of a drift, relative to the sensor's noise")                      \
     C(DRIFT_TIME, 10.0, "correlation time of a drift [s]")                                        \
     C(TONE_TIME, 200.0, "time in which a tone's size and frequency change [s]")                   \
@@ -176,8 +176,8 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(COUNT, significant, 1, 1)   /* whether changes of theta are used at once */                  \
     F(VECTOR, anchor, s->k, 1)    /* theta when the present pass of learning began */              \
     F(NUMBER, pass_age, 1, 1)     /* time since the present pass began [s] */                      \
-    F(NUMBER, size, 1, 1)         /* 1 sigma: of a tone, of a drift relative to the noise, of */   \
-                                  /* an unknown torque or input relative to the model's `force` */ \
+    F(NUMBER, size, 1, 1)         /* 1 sigma: of a tone; of a drift or coloured noise, relative */ \
+                                  /* to white noise; of FORCE, relative to the model's `force` */  \
     F(COUNT, output, 1, 1)        /* output that has the tone */
 LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
 

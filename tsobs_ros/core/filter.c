@@ -370,7 +370,7 @@ static void write_own_motion(
         }
     } else if (*h->kind == COLOURED_NOISE || *h->kind == DRIFT) {
         const int is_drift = *h->kind == DRIFT;
-        const double size = is_drift ? *h->size : m->constants[COLOUR_SIZE];
+        const double size = *h->size;
         const double decay = left_after(m, duration, is_drift ? DRIFT_TIME : COLOUR_TIME);
         const double noise = size * size * (1.0 - decay * decay);
         for (long j = 0; j < m->s.p; j++) {
