@@ -82,7 +82,7 @@ enum {
     C(FORCE_SHARE, 0.02, "1 sigma of the unknown torque, relative to the reference torque")       \
     C(FORCE_TIME, 1.0, "correlation time of the unknown torque [s]")                              \
     C(COLOUR_TIME, 0.05, "correlation time of coloured noise [s]")                                \
-    C(COLOUR_SIZE, 1.5, "first 1 sigma of coloured noise, relative to white noise")                  \
+    C(COLOUR_SIZE, 1.5, "first 1 sigma of coloured noise, relative to white noise")               \
     C(DRIFT_SIZE, 2.0, "1 sigma of a drift, relative to the sensor's noise")                      \
     C(DRIFT_TIME, 10.0, "correlation time of a drift [s]")                                        \
     C(TONE_TIME, 200.0, "time in which a tone's size and frequency change [s]")                   \
