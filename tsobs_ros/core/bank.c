@@ -167,8 +167,11 @@ static void open_torque(const model *m, const state *at, const hypothesis *h)
 static double variance_of(const model *m, const state *at, const hypothesis *h, long i)
 {
     const long diagonal = i * (m->s.width + 1);
+    if (*h->certified == 0) {
+        return maximum(h->covariance[diagonal], 0.0);
+    }
     const double std = scale_of(m, at) * sqrt(m->X[diagonal]);
-    return *h->certified != 0 ? std * std : maximum(h->covariance[diagonal], 0.0);
+    return std * std;
 }
 
 /* --- copies --- */
@@ -264,8 +267,7 @@ static void begin_kind(
         h.covariance[force * (width + 1)] = *m->force * *m->force;
     }
     for (long j = 0; j < p && kind == COLOURED_NOISE; j++) {
-        const double std = m->constants[COLOUR_SIZE];
-        h.covariance[(n + 1 + j) * (width + 1)] = m->R[j * p + j] * std * std;
+        h.covariance[(n + 1 + j) * (width + 1)] = m->R[j * p + j] * *h.size * *h.size;
     }
 }
 
@@ -415,6 +417,12 @@ static double lowest_tone(const model *m)
     return 4.0 / m->constants[AWAKE];
 }
 
+/* Return the 1 sigma of an output's innovations under the certified gain, in the present noise. */
+static double innovation_std(const model *m, const state *at, long output)
+{
+    return noise_of(m, at, output) * sqrt(m->innovation_variance[output]);
+}
+
 /* Rotate the phasors of the design's innovations and, for clean sensors, of the motion that it
  * estimates, at all frequencies, and add the newest ones. If the design takes the sample for an
  * outlier, it may be lost itself, in a large tone. LOUD then takes its place, which is moved least.
@@ -431,7 +439,7 @@ static void update_tones(const model *m, const state *at, const correction *effe
         }
         const sensor of = sensor_of(m, at, i);
         const double *row = m->C + i * m->s.width, *x = designed.x;
-        const double std = noise_of(m, at, i) * sqrt(m->innovation_variance[i]);
+        const double std = innovation_std(m, at, i);
         const double shown = at->y[i] - dot(m->D + i * m->s.p, at->sample, m->s.p);
         if (*loud.live != 0 && fabs(shown - dot(row, x, m->s.n)) > *m->gate * std) {
             x = loud.x;
@@ -527,7 +535,7 @@ static void find_tones(const model *m, const state *at, long output, tone *found
     const sensor of = sensor_of(m, at, output);
     const double share = share_of(counted_time(m, *of.since), m->constants[AWAKE]);
     const double step = m->constants[TONE_RATIO];
-    const double std = noise_of(m, at, output) * sqrt(m->innovation_variance[output]);
+    const double std = innovation_std(m, at, output);
     double loud[TONES + 2] = {0.0}; /* with 0 beyond both ends */
     double rate = lowest_tone(m);
     for (long j = 1; j <= TONES; j++, rate *= step) {

@@ -140,11 +140,13 @@ double correct_by(
     correction *effect);
 
 /* A prediction's duration in steps: `whole` nominal ones, and one for the rest unless that is 0.
+ * left: decay factors over either step, by the place of the time constant, 0 until computed.
  * forgotten: variance that an unknown torque gains per second, 0 if the torque is known. */
 typedef struct {
     double duration, forgotten;
     int64_t whole;
     linear_step steps[2];
+    double left[2][TONE_TIME + 1];
     flow_step work;
 } course;
 
@@ -153,6 +155,6 @@ course course_over(const model *m, double duration, double forgotten, work *scra
 
 /* Predict with held inputs; if simple, without the covariance and the auxiliary states. */
 void predict_hypothesis(
-    const model *m, const state *at, hypothesis *h, const course *along, int simple, work *scratch);
+    const model *m, const state *at, hypothesis *h, course *along, int simple, work *scratch);
 
 #endif

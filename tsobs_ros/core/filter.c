@@ -51,10 +51,10 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
 {
     const long n = m->s.n, width = m->s.width;
     const double *bound = *h->corrected != 0 ? m->posterior : m->X;
-    const double square = scale_of(m, at) * scale_of(m, at);
     if (*h->certified == 0) {
         return;
     }
+    const double scale = scale_of(m, at), square = scale * scale;
     for (long i = 0; i < n; i++) {
         for (long j = 0; j < n; j++) {
             h->covariance[i * width + j] = square * bound[i * width + j];
@@ -333,20 +333,24 @@ double correct_hypothesis(const model *m, const state *at, hypothesis *h, correc
 
 /* --- prediction --- */
 
-/* Return the decay factor over a duration for a time constant of the bank. */
-static double left_after(const model *m, double duration, int time)
+/* Return the decay factor over a step for a time constant of the bank; `left` keeps it. */
+static double left_after(const model *m, double duration, int time, double *left)
 {
-    return exponential(-duration / m->constants[time]);
+    if (left[time] == 0.0) {
+        left[time] = exponential(-duration / m->constants[time]);
+    }
+    return left[time];
 }
 
 /* Write the auxiliary states' own motion over a step, a+ = D a + noise: D, whose rows begin
  * `stride` numbers apart, and the variances of the noise (added). */
 static void write_own_motion(
-    const model *m, const hypothesis *h, const course *along, int is_rest, long stride, double *D,
+    const model *m, const hypothesis *h, course *along, int is_rest, long stride, double *D,
     double *added)
 {
     const double duration = along->steps[is_rest].duration;
-    const double torque = left_after(m, duration, FORCE_TIME);
+    double *left = along->left[is_rest];
+    const double torque = left_after(m, duration, FORCE_TIME, left);
     D[0] = torque;
     added[0] = along->forgotten * duration;
     if (*h->kind == FORCE) {
@@ -356,7 +360,7 @@ static void write_own_motion(
         added[at] += size * size * (1.0 - torque * torque);
     }
     if (*h->kind == TONE) {
-        const double decay = left_after(m, duration, TONE_TIME);
+        const double decay = left_after(m, duration, TONE_TIME, left);
         for (long i = 1; m->s.n + i < states_in_use(m, h); i += 3) {
             const double frequency = h->x[m->s.n + i + 2], wander = halfway_from(m, frequency);
             double sin, cos, *row = D + i * stride + i;
@@ -371,7 +375,7 @@ static void write_own_motion(
     } else if (*h->kind == COLOURED_NOISE || *h->kind == DRIFT) {
         const int is_drift = *h->kind == DRIFT;
         const double size = *h->size;
-        const double decay = left_after(m, duration, is_drift ? DRIFT_TIME : COLOUR_TIME);
+        const double decay = left_after(m, duration, is_drift ? DRIFT_TIME : COLOUR_TIME, left);
         const double noise = size * size * (1.0 - decay * decay);
         for (long j = 0; j < m->s.p; j++) {
             D[(j + 1) * (stride + 1)] = decay;
@@ -408,8 +412,7 @@ static inline void move_by(
  * for design's and auxiliary states. g is the effect of the first auxiliary state, the unknown
  * torque. FORCE at the link adds that of the second: half a kick at each end of the step. */
 static void step_hypothesis(
-    const model *m, hypothesis *h, const course *along, int is_rest, double *u, int simple,
-    work *scratch)
+    const model *m, hypothesis *h, course *along, int is_rest, double *u, int simple, work *scratch)
 {
     const linear_step *over = &along->steps[is_rest];
     const flow_step *step = &along->work;
@@ -495,7 +498,7 @@ course course_over(const model *m, double duration, double forgotten, work *scra
 }
 
 void predict_hypothesis(
-    const model *m, const state *at, hypothesis *h, const course *along, int simple, work *scratch)
+    const model *m, const state *at, hypothesis *h, course *along, int simple, work *scratch)
 {
     const flow *f = &m->design_flow;
     const double duration = along->duration;
