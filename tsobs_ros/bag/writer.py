@@ -283,7 +283,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             with naming_path(self._file.path, BagWriteError, "write"), ExitStack() as stack:
                 # Every step is done, even if another one fails.
                 stack.callback(self._write_metadata)
-                stack.callback(self._file.path.stat)  # somebody may have deleted it
+                stack.callback(self._file.path.stat)  # fails if the file was deleted
                 for file in self._files:
                     stack.callback(file.close)
                 if not self._file.is_finished:

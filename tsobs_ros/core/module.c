@@ -590,6 +590,10 @@ static int add_constants(PyObject *module)
                        PyModule_AddIntMacro(module, GAIN_OPEN) < 0 ||
                        PyModule_AddIntMacro(module, GAIN_RICCATI) < 0 ||
                        PyModule_AddIntMacro(module, GAIN_CERTIFIED) < 0 ||
+                       PyModule_AddIntMacro(module, WRONG_TORQUE) < 0 ||
+                       PyModule_AddIntMacro(module, JUMPED) < 0 ||
+                       PyModule_AddIntMacro(module, HIT) < 0 ||
+                       PyModule_AddIntMacro(module, MOVED) < 0 ||
                        PyModule_AddIntMacro(module, SERIES_TERMS) < 0 ||
                        PyModule_AddIntMacro(module, MOST_STEPS) < 0 ||
                        PyModule_AddIntConstant(module, "HYPOTHESES", STANDING + FORKS) < 0 ||

@@ -19,6 +19,8 @@ Field: TypeAlias = Literal["position", "velocity", "effort"]
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _TIMES = ("time", "stamp", "timestamp")
+"""Titles under which a CSV log is searched for its times; `t` is left to signals."""
+
 _MAX_LENGTH = 60
 
 

@@ -234,10 +234,10 @@ class Estimator:
             ModelError: The duration is negative or not finite, or longer than an hour and a
                 thousand periods, or the inputs are not finite or have another shape.
         """
-        longest = max(_LONGEST, 1000.0 * self.period)
-        if non_negative("duration", duration) > longest:
-            raise ModelError(f"duration: expected at most {longest:g} s, got {duration:g}")
-        given = as_matrix("u", u, (self.shape.m,)), float(duration), between_samples
+        longest, seconds = max(_LONGEST, 1000.0 * self.period), non_negative("duration", duration)
+        if seconds > longest:
+            raise ModelError(f"duration: expected at most {longest:g} s, got {seconds:g}")
+        given = as_matrix("u", u, (self.shape.m,)), seconds, between_samples
         model, after, work = self.model, copy_records(state), self._work
         native.estimator_predict(numbers_of(model), numbers_of(after), *given, numbers_of(work))
         return after

@@ -38,8 +38,13 @@ _BASES, _LEARNINGS, _HYPOTHESES = tuple(Basis), tuple(Learning), tuple(Hypothesi
 
 _MEMORY = record_type("history")
 
-_FOUND = {"sensor jumps": 2, "hits": 3, "losses of track": 4, "wrong torques": 1}
-"""Assumptions of forks by their codes in core/estimator.h."""
+_FOUND = {
+    "sensor jumps": native.JUMPED,
+    "hits": native.HIT,
+    "losses of track": native.MOVED,
+    "wrong torques": native.WRONG_TORQUE,
+}
+"""Assumption of the forks that are counted, by the name of the finding."""
 
 _LONGEST = 2**61
 """Longer times are treated as this long, so that no sum of stamps overflows [ns]."""
