@@ -11,7 +11,10 @@ from typing import Any
 
 import pytest
 import yaml
-from staging import diagnostics, values
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from staging import diagnostics, to_nanoseconds, values
+from std_msgs.msg import Header
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.estimate_topics import TOPICS as OF_EVERY_OBSERVER
@@ -157,6 +160,38 @@ def test_a_lifecycle_manager_drives_a_process_and_its_shutdown_ends_it(
     assert manager.state == "active"
     assert manager.change("shutdown")
     check_clean(process.finish(TIMEOUT))
+
+
+def test_a_process_answers_measurements_long_before_its_next_tick(
+    ros: Any, ros_process: Process
+) -> None:
+    own, stamps = ros.node("own"), list[int]()
+    sensor = own.create_publisher(JointState, "joint_measurements", qos_profile_sensor_data)
+    own.create_subscription(
+        JointState,
+        "observer/joint_states",
+        lambda each: stamps.append(to_nanoseconds(each.header.stamp)),
+        10,
+    )
+    ros_process("observer", parameters={"rate": 0.1, "publish_on": "measurement"})
+    ros.spin_until(lambda: sensor.get_subscription_count() == 1, TIMEOUT, "the observer's start")
+
+    def is_answered(seconds: float) -> bool:
+        """Send a measurement, and return whether an estimate comes within some time."""
+        now, before = own.get_clock().now(), len(stamps)
+        header = Header(stamp=now.to_msg())
+        sensor.publish(
+            JointState(header=header, name=["elastic_joint"], position=[0.1], effort=[0.0])
+        )
+        end = time.monotonic() + seconds
+        while len(stamps) == before and time.monotonic() < end:
+            ros.executor.spin_once(timeout_sec=0.05)
+        return len(stamps) > before
+
+    # The observer finds its listener a little later.
+    assert any(is_answered(1.0) for _ in range(int(TIMEOUT)))
+    assert all(is_answered(9.0) for _ in range(3))
+    assert stamps == sorted(stamps)
 
 
 # What a process has mapped shows how far its start-up is: imports, or the middleware's start.

@@ -66,7 +66,7 @@ class Outcomes(NamedTuple):
     expected_std: Array
 
 
-def _outcomes(*shape: int) -> Outcomes:
+def _outcomes(shape: tuple[int, int]) -> Outcomes:
     codes = np.empty(shape[0], np.int64), np.empty(shape, np.int64)
     return Outcomes(*codes, np.empty(shape), np.empty(shape))
 
@@ -142,6 +142,13 @@ class Tracker:
         self.memory["max_steps"] = max_steps
         self.memory["x_max"] = x_max if x_max == math.inf else positive("x_max", x_max)
         self._unused = self.memory.copy()
+        self._first, self._length, self._turn = (
+            self.memory[name] for name in ("first", "length", "turn")
+        )
+        self._stamps = self.ring["stamp"]
+        shape = estimator.shape
+        # Stamp, outputs and inputs of a single measurement.
+        self._one = np.empty(1, np.int64), np.empty((1, shape.p)), np.empty((1, shape.m))
         fields = [estimator.row_type.fields[name] for name in estimator.row_type.names]
         self._vectors = [
             slice(place // 8, place // 8 + of.shape[0]) for of, place in fields if of.shape
@@ -165,16 +172,20 @@ class Tracker:
     @property
     def state(self) -> Record:
         """The state after the newest measurement, or before any, shape (1,); not a copy."""
-        memory = self.memory[0]
-        if not memory["length"]:
+        if not self._length.item():
             return self.estimator.model["initial"]
-        place = int((memory["first"] + memory["length"] - 1) % memory["turn"])
+        place = self._place()
         return self.ring[place : place + 1]
+
+    def _place(self) -> int:
+        """Return the place of the newest state in the ring."""
+        place: int = (self._first.item() + self._length.item() - 1) % self._turn.item()
+        return place
 
     @property
     def newest(self) -> int | None:
         """Stamp of the newest measurement in use [ns], None before the first."""
-        return int(self.state["stamp"][0]) or None
+        return self._stamps.item(self._place()) if self._length.item() else None
 
     @property
     def used(self) -> int:
@@ -219,8 +230,19 @@ class Tracker:
     def offer(self, measurement: Measurement, now: int) -> Outcomes:
         """Use one measurement, which may be late by up to `history`; see `offer_many`."""
         stamp, y, u = measurement
-        many = np.asanyarray(y)[np.newaxis], np.asanyarray(u)[np.newaxis]
-        return self.offer_many([stamp], *many, now)
+        stamps, samples, inputs = self._one
+        if not (
+            type(y) is type(u) is np.ndarray
+            and type(stamp) is int
+            and stamp.bit_length() < 64
+            and (y.shape, u.shape) == (samples.shape[1:], inputs.shape[1:])
+        ):
+            many = np.asanyarray(y)[np.newaxis], np.asanyarray(u)[np.newaxis]
+            return self.offer_many([stamp], *many, now)
+        stamps[0], samples[0], inputs[0] = stamp, y, u
+        outcomes = _outcomes(samples.shape)
+        native.history_offer(*self._records, stamps, samples, inputs, now, *outcomes)
+        return outcomes
 
     def offer_many(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int) -> Outcomes:
         """Use measurements in the order of their stamps, or refuse them.
@@ -238,7 +260,7 @@ class Tracker:
             ModelError: The arrays have other shapes, or a stamp is not an integer.
         """
         times, samples, inputs = self._checked(stamps, y, u)
-        outcomes, order = _outcomes(*samples.shape), None
+        outcomes, order = _outcomes(samples.shape), None
         if len(times) > 1 and (times[1:] < times[:-1]).any():
             order = np.argsort(times, kind="stable")
             times, samples, inputs = times[order], samples[order], inputs[order]
@@ -360,7 +382,7 @@ def _advance(
     stale_after: float = math.inf,
 ) -> TrackerRun:
     """Advance trackers, each by an equal share of measurements (stamps, y, u) and of ticks."""
-    first, outcomes = trackers[0], _outcomes(*given[1].shape)
+    first, outcomes = trackers[0], _outcomes(given[1].shape)
     count, limit = len(ticks[0]), int(min(stale_after * NANOSECONDS, 2 * _LONGEST))
     rows, (newest, there) = np.empty(count * first._width), np.zeros((2, count), np.int64)
     native.history_advance(

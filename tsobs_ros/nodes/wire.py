@@ -58,8 +58,8 @@ class DrainedSubscription:
     """A subscription whose messages wait in its queue for `drain`, as CDR bytes if `raw`.
 
     The queue is that of the QoS profile: with `keep last`, the middleware drops the oldest messages
-    beyond `depth` between two drains. An executor calls `on_arrival` as soon as messages have
-    arrived, to drain them. `subscription` is rclpy's.
+    beyond `depth` between two drains. An executor, or `look`, calls `on_arrival` as soon as there
+    are messages, to drain them. `subscription` is rclpy's.
     """
 
     def __init__(
@@ -120,6 +120,14 @@ class DrainedSubscription:
     def discard(self) -> None:
         """Discard the messages in the queue, at most as many as fit in it."""
         self.drain(self._first.maxlen)
+
+    def look(self) -> None:
+        """Call back if a message has arrived."""
+        own = self.subscription
+        with own.handle:
+            message = own.handle.take_message(own.msg_type, own.raw)
+        if message is not None:
+            self._arrived(*message)
 
     def _arrived(self, message: Any, info: Any) -> None:
         """Keep the message that an executor has taken, and call back."""

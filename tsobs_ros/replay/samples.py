@@ -86,7 +86,9 @@ class MeasurementReader:
         order = sorted(range(len(rows)), key=[row[0] for row in rows].__getitem__)
         stamps, numbers, codes = zip(*[rows[place] for place in order], strict=True)
         y, u = self._split(np.array(numbers, np.float64))
-        return Batch(order, np.array(stamps, np.int64), y, u, np.array(codes, np.int64).T.copy())
+        return Batch(
+            order, np.array(stamps, np.int64), y, u, np.array(list(zip(*codes, strict=True)))
+        )
 
     def read_raw(self, raw: "RawMessages") -> Batch:
         """Return the samples in messages of a bag, in the order of recording."""
@@ -115,8 +117,8 @@ class MeasurementReader:
         """Return the outputs and the inputs of each joint."""
         y, u = [], []
         for outputs, inputs, others in self._parts:
-            y.append(np.ascontiguousarray(table[:, outputs]))
-            own = np.ascontiguousarray(table[:, inputs])
+            y.append(table[:, outputs])
+            own = table[:, inputs]
             if others.start < others.stop:
                 own = np.where(np.isnan(own), table[:, others], own)
             u.append(own)

@@ -170,7 +170,7 @@ def test_what_is_published_is_what_rclpy_would_send(ros: Any) -> None:
     tank = Estimate(STAMP, state=two, disturbance=two, disturbance_rate=two)
 
     publisher.publish(STAMP, {0: hip, 1: arm, 2: tank})
-    publisher.publish_innovations(np.array([STAMP]), np.array([[NAN, 1.0, NAN, 2.0]]))
+    publisher.publish_innovations([STAMP], [[NAN, 1.0, NAN, 2.0]])
     sides = ["hip_link", "hip_motor", "arm_link", "arm_motor"]
     outputs = ["tank/encoder", "tank/gyroscope"]
     expected: dict[str, dict[str, Any]] = {

@@ -36,6 +36,7 @@ import time
 from collections import deque
 from collections.abc import Iterable
 from functools import partial
+from itertools import chain, compress
 
 import numpy as np
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -111,9 +112,8 @@ class Observer(ManagedNode[ObserverParameters]):
         self.offer_diagnostics(", ".join(parameters.joints), self._statuses)
         self.offer_triggers({"reset": self._on_reset})
         self.create_service(SetBool, "~/enable", self._on_enable)
-        self._ticker = Ticker(self, 1.0 / self._rate, self._work)
-        # Only an executor calls back on arrival, so it has to make the ticks too.
-        self.ticker = None if at_once else self._ticker
+        look = self._measurements.look if at_once else None
+        self.ticker = self._ticker = Ticker(self, 1.0 / self._rate, self._work, look=look)
         for joint in self.joints:
             design = f"design {joint.design.file} ({identity(joint.design)})"
             self.log(Level.OK, f"{joint.name}: {design}: certificate holds")
@@ -149,7 +149,7 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _now(self) -> int | None:
         """Return the time, or None before simulated time begins; restart if the clock went back."""
-        now = int(self.get_clock().now().nanoseconds)
+        now = self.now()
         if now == 0:
             return None
         if now < self._last_now and self.parameters.reset_on_backward_jump:
@@ -170,20 +170,20 @@ class Observer(ManagedNode[ObserverParameters]):
         batch = self._reader.read(messages)
         innovations = []
         for joint, y, u, codes in zip(self.joints, batch.y, batch.u, batch.codes, strict=True):
-            innovations.append(joint.offer(batch.stamps, y, u, codes, now))
-            for place in np.flatnonzero(codes > 0).tolist() if codes.any() else ():
+            innovations.append(joint.offer(batch.stamps, y, u, codes, now).tolist())
+            for place in np.flatnonzero(codes > 0).tolist() if np.count_nonzero(codes) else ():
                 reason = RejectReason(int(codes[place]))
                 if self.is_due((joint.name, reason)):
                     found = self._reader.describe(messages[batch.order[place]], joint.name)
                     text = f"sample of {joint.name} rejected: {reason.text} ({found}, clock "
                     self.log(Level.WARN, f"{text}{now * 1e-9:.3f}): {reason.remedy}")
-        of_all = np.concatenate(innovations, axis=1)
-        used = np.flatnonzero((of_all == of_all).any(axis=1))
-        self._publisher.publish_innovations(batch.stamps[used], of_all[used])
+        rows = [list(chain(*each)) for each in zip(*innovations, strict=True)]
+        self._publisher.publish_innovations(batch.stamps.tolist(), rows)
+        used = [any(each == each for each in row) for row in rows]  # NaN does not equal itself
         self._unanswered += [
-            taken[batch.order[place]][1]["received_timestamp"] for place in used.tolist()
+            taken[place][1]["received_timestamp"] for place in compress(batch.order, used)
         ]
-        return len(used) > 0
+        return any(used)
 
     def _publish(self, now: int, *, wanted: bool) -> bool:
         """Publish estimates for the present time; return whether there were any."""
@@ -212,7 +212,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._resets += 1
         self._meter.restart()
         self._unanswered.clear()
-        now = int(self.get_clock().now().nanoseconds)
+        now = self.now()
         self._publisher.publish_restart(now, self._resets)
 
     def _publish_record(self) -> None:
@@ -244,7 +244,7 @@ class Observer(ManagedNode[ObserverParameters]):
     def _statuses(self) -> list[Status]:
         if not self.active:
             return [Status("state", Level.WARN, "INACTIVE", {})]
-        now = int(self.get_clock().now().nanoseconds)
+        now = self.now()
         for joint in self.joints:
             self._log(joint, joint.count())
             if joint.newly[FAILURES]:

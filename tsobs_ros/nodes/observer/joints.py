@@ -121,16 +121,22 @@ class ObservedJoint:
         Returns:
             The innovations y − ŷ, NaN for an output that was not used, shape (N, p).
         """
-        given = codes == USED
-        innovations = np.full(y.shape, math.nan)
-        counts = Counter(codes[~given].tolist())
-        self.received += len(codes) - counts.pop(NOT_NAMED, 0)
-        for code, count in counts.items():
-            self.tracker.reject(RejectReason(code), count)
-        found = self.tracker.offer_many(stamps[given], y[given], u[given], now)
-        codes[given], innovations[given] = found.codes, found.innovations
-        outcomes = zip(stamps.tolist(), codes.tolist(), strict=True)
-        self._stamps += [stamp for stamp, code in outcomes if code in _ACCEPTED]
+        self.received += len(codes)
+        if not np.count_nonzero(codes):  # takes a tenth of the time of `any`
+            found = self.tracker.offer_many(stamps, y, u, now)
+            codes[:], innovations = found.codes, found.innovations
+        else:
+            given = codes == USED
+            for code, count in Counter(codes[~given].tolist()).items():
+                if code == NOT_NAMED:
+                    self.received -= count
+                else:
+                    self.tracker.reject(RejectReason(code), count)
+            found = self.tracker.offer_many(stamps[given], y[given], u[given], now)
+            innovations = np.full(y.shape, math.nan)
+            codes[given], innovations[given] = found.codes, found.innovations
+        accepted = np.isin(codes, _ACCEPTED) if np.count_nonzero(codes) else slice(None)
+        self._stamps += stamps[accepted].tolist()
         return innovations
 
     def count(self) -> list[Event]:
@@ -149,22 +155,20 @@ class ObservedJoint:
 
     def estimate(self, now: int) -> Estimate | None:
         """Return the estimate to publish at a time [ns]; `when_stale` decides for a stale joint."""
-        if self.phase(now) in (Phase.WAITING, Phase.STALE):
-            # A prediction through a long silence would take long and contain no information.
-            held = self.latest if self._parameters.when_stale == "hold" else None
-            nothing = np.zeros(0)
-            return held and held._replace(
-                state_bound=nothing,
-                disturbance_bound=nothing,
-                torque_disturbance_bound=nothing,
-                parameters_valid=False,
-            )
         estimate = self.tracker.estimate(now)
-        if estimate is None:
+        if estimate is not None:
+            self.latest = estimate
+            self.faults.update(estimate, self.tracker.state)
+            return estimate
+        if not (self._parameters.when_stale == "hold" and self.phase(now) is Phase.STALE):
             return None
-        self.latest = estimate
-        self.faults.update(estimate, self.tracker.state)
-        return estimate
+        nothing = np.zeros(0)
+        return self.latest and self.latest._replace(
+            state_bound=nothing,
+            disturbance_bound=nothing,
+            torque_disturbance_bound=nothing,
+            parameters_valid=False,
+        )
 
     def news(self, now: int, estimate: Estimate | None, due: bool) -> list[Event]:
         """Return the events to log for a time [ns]; `due`: whether its health is published."""

@@ -10,12 +10,10 @@ from std_msgs.msg import Int64MultiArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import encode_tick
-from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Signals
 from tsobs_ros.estimation.records import Estimate
 from tsobs_ros.nodes.wire import QUIET, JointStatePublisher
 from tsobs_ros.replay.places import ESTIMATES, parts_of, places_of
-from tsobs_ros.series import Stamps
 
 _RESTARTS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -78,13 +76,15 @@ class EstimatePublisher:
                 output.publish(stamp, _rows(topic, estimates))
         return is_due
 
-    def publish_innovations(self, stamps: Stamps, innovations: Array) -> None:
+    def publish_innovations(
+        self, stamps: Sequence[int], innovations: Iterable[Sequence[float]]
+    ) -> None:
         """Publish y − ŷ of N messages under the stamps of these messages [ns].
 
-        Columns are the outputs of all joints in turn, NaN if not used, shape (N, outputs).
+        Each has the outputs of all joints in turn, NaN if not used.
         """
         if self._innovation.publisher.get_subscription_count():
-            for stamp, values in zip(stamps.tolist(), innovations.tolist(), strict=True):
+            for stamp, values in zip(stamps, innovations, strict=True):
                 rows = {place: (each,) for place, each in enumerate(values) if each == each}
                 self._innovation.publish(stamp, rows)
 

@@ -236,7 +236,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         """Return the time to stamp samples with [ns]; 0 before the first /clock."""
         if self._driven is not None:
             return self._driven.at(time.monotonic_ns())
-        return int(self.get_clock().now().nanoseconds)
+        return self.now()
 
     @property
     def _follows_clock(self) -> bool:

@@ -113,7 +113,7 @@ class Recorder(ManagedNode[RecorderParameters]):
     @property
     def _is_timeless(self) -> bool:
         """Whether there has been no /clock yet."""
-        return bool(self.get_clock().now().nanoseconds == 0)
+        return self.now() == 0
 
     @property
     def _losses(self) -> dict[str, LossCounter]:
