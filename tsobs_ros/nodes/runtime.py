@@ -56,7 +56,7 @@ topic whose name ROS does not accept."""
 _SPIN_TIMEOUT = 0.2
 # Period of serving services, parameters and slow timers while the ticks are made here [s].
 _SERVE_PERIOD = 0.1
-# Looks for messages per period. A look takes a twentieth of the time of an executor's wait.
+# Looks for messages per period. A look takes a tenth of the time of an executor's wait.
 _LOOKS = 8
 # Destroying two nodes and shutting down takes about 20 ms, on a loaded machine 0.5 s.
 _TEARDOWN_TIMEOUT = 5.0
