@@ -73,27 +73,40 @@ static inline int counts(const model *m, const hypothesis *h)
     return *h->live != 0 && *h->score >= -0.8 * m->constants[FLOOR];
 }
 
+/* Return a power of slow innovations relative to the power that white noise leaves in them; nis is
+ * that of all innovations. */
+static inline double slowness_of(const model *m, double power, double nis)
+{
+    return power / (m->constants[QUIET] * nis);
+}
+
+/* Return whether a hypothesis' own innovations contradict it, so that its bounds do not hold. */
+static inline int is_contradicted(const model *m, const hypothesis *h)
+{
+    const double most = m->constants[VOID], scale = m->constants[LEAST_SCALE];
+    const double slowness = slowness_of(m, *h->slow_power, maximum(*h->nis, scale * scale));
+    return !(*h->nis <= most && slowness <= 7.0 * most);
+}
+
 /* Return the least weight of a hypothesis in the bounds, relative to the likeliest one's. Unless
  * that is the design, FORCE, IMPERFECT and DRIFT may explain the same samples, and their likelihood
- * decides only if the rest of the model is right. With 1/6 each, three bounds reach all of them. */
-static inline double least_weight(const model *m, const state *at, long place)
+ * decides only if the rest of the model is right. With 1/6 each, three bounds reach all of them.
+ * In a tone of an arm's sensor, they count only until their innovations contradict them. */
+static inline double least_weight(
+    const model *m, const state *at, long place, const hypothesis *h)
 {
+    const int64_t best = *best_of(m, at).kind;
     const int is_rival = place == FORCE || place == IMPERFECT || place == DRIFT;
-    return is_rival && *best_of(m, at).kind != AS_DESIGNED ? 1.0 / 6.0 : 0.0;
+    const int is_failed
+        = best == TONE && *m->design_flow.kind == KIND_ARM && is_contradicted(m, h);
+    return is_rival && best != AS_DESIGNED && !is_failed ? 1.0 / 6.0 : 0.0;
 }
 
 /* Return whether the live hypothesis h counts in the published bounds. */
 static inline int counts_in_bounds(
     const model *m, const state *at, long place, const hypothesis *h)
 {
-    return counts(m, h) || least_weight(m, at, place) > 0.0;
-}
-
-/* Return a power of slow innovations relative to the power that white noise leaves in them; nis is
- * that of all innovations. */
-static inline double slowness_of(const model *m, double power, double nis)
-{
-    return power / (m->constants[QUIET] * nis);
+    return counts(m, h) || least_weight(m, at, place, h) > 0.0;
 }
 
 /* Return half the distance from a frequency to the next one at which tones are looked for. */

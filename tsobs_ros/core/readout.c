@@ -44,7 +44,7 @@ static long weigh(const model *m, const state *at, work *scratch)
             const double weight = exponential(minimum(*h.score, 0.0));
             const int is_decided = counts(m, &h) && !is_undecided(m, at, &h);
             scratch->places[count] = i;
-            scratch->weights[count] = maximum(weight, least_weight(m, at, i));
+            scratch->weights[count] = maximum(weight, least_weight(m, at, i, &h));
             scratch->decided[count] = is_decided ? weight : 0.0;
             scratch->growth[2 * count] = sqrt(maximum(*h.nis, 1.0));
             scratch->growth[2 * count + 1] = scratch->growth[2 * count] * growth_of(m, &h);
@@ -62,10 +62,7 @@ static long weigh(const model *m, const state *at, work *scratch)
 /* Return the basis of the bounds if a kind is named; write whether they are claimed to hold. */
 static int64_t basis_of(const model *m, const hypothesis *best, int64_t named, double *claimed)
 {
-    const double most = m->constants[VOID];
-    const double least = m->constants[LEAST_SCALE] * m->constants[LEAST_SCALE];
-    const double slowness = slowness_of(m, *best->slow_power, maximum(*best->nis, least));
-    const int is_void = !(*best->nis <= most && slowness <= 7.0 * most);
+    const int is_void = is_contradicted(m, best);
     *claimed = !is_void && *m->gain_mode != GAIN_OPEN;
     if (is_void) {
         return BASIS_CONTRADICTED;
