@@ -194,11 +194,12 @@ def _fair_table(
     results: Mapping[str, Mapping[str, Outcome]], found: Sequence[Demand]
 ) -> Iterator[str]:
     by_place = {(one.scenario, one.kind): one for one in found}
-    yield from head("scenario", "ours", "ratio", "inside", "claimed")
+    yield from head("scenario", "ours", "ratio", "inside", "claimed", "width")
     for name, one in results.items():
         mine = one["certified"]
         assert mine.inside is not None
         assert mine.claimed is not None
+        assert mine.width is not None
         shown = (
             f"{ratio_of(one):.2f}",
             f"{mine.inside.mean(axis=0).min():.3f}",
@@ -208,7 +209,8 @@ def _fair_table(
             _bold(text, by_place.get((name, kind)))
             for kind, text in zip(_SHOWN, shown, strict=True)
         )
-        yield row(name, _number(_mean(mine)), *cells)
+        width = float(np.exp(np.log(mine.width[:, :4]).mean()))
+        yield row(name, _number(_mean(mine)), *cells, f"{width:.1f}")
 
 
 def _plain_table(results: Mapping[str, Mapping[str, Outcome]]) -> Iterator[str]:

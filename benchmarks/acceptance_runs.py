@@ -74,6 +74,7 @@ class Outcome(NamedTuple):
     Attributes:
         errors: Normalised RMSE by window, shape (runs,).
         inside: Shares of errors within three bounds, of the states and the disturbance, (runs, 5).
+        width: Root mean square of each bound over that of its error, shape (runs, 5).
         claimed: Share of samples whose bounds are claimed to hold, shape (runs,).
         broken: Share of them in which an error is beyond three bounds, 0 if there are none.
         honest: Share of samples with every error within three bounds, or with bounds that are not
@@ -88,6 +89,7 @@ class Outcome(NamedTuple):
 
     errors: dict[str, Array]
     inside: Array | None = None
+    width: Array | None = None
     claimed: Array | None = None
     broken: Array | None = None
     honest: Array | None = None
@@ -227,7 +229,9 @@ def outcome(scenario: Scenario, runs: Trajectories, found: Found) -> Outcome:
             for name, window in WINDOWS.items()
         }
         truth = np.concatenate([runs.states, runs.disturbances], axis=2)
-        kept = np.abs(found.estimates - truth)[:, full] <= SIGMAS * found.bounds[:, full]
+        away, bounds = np.abs(found.estimates - truth)[:, full], found.bounds[:, full]
+        kept = away <= SIGMAS * bounds
+        width = np.sqrt((bounds**2).mean(axis=1) / (away**2).mean(axis=1))
     worth = {} if found.rows is None else _worth(found.rows, kept, full, runs.times)
     theta = theta_inside = after = None
     if found.thetas is not None:
@@ -244,6 +248,7 @@ def outcome(scenario: Scenario, runs: Trajectories, found: Found) -> Outcome:
     return Outcome(
         errors,
         inside=kept.mean(axis=1),
+        width=width,
         theta=theta,
         theta_inside=theta_inside,
         settled_after=after,

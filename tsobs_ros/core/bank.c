@@ -1185,12 +1185,13 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     }
 }
 
-/* Return whether a hypothesis' covariance is below the certified bound and, for a T-S system, not
- * far below it: one gain for rules that differ much may be far worse than Riccati's. */
+/* Return whether a hypothesis' covariance is below the certified bound, and not far below it: one
+ * gain for all angles of an arm under strong gravity, or for rules of a T-S system that differ much,
+ * may be far worse than Riccati's. */
 static int is_covered(const model *m, const hypothesis *h, double *difference)
 {
     const long n = m->s.n, width = m->s.width;
-    const double most = *m->design_flow.kind == KIND_SYSTEM ? 1.3 : INFINITY;
+    const double most = *m->design_flow.kind == KIND_SYSTEM ? 1.3 : 1.6;
     for (long i = 0; i < m->s.plant; i++) {
         if (m->X[i * (width + 1)] > most * most * h->covariance[i * (width + 1)]) {
             return 0;

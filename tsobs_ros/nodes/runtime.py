@@ -20,6 +20,7 @@ which loses early SIGTERMs and sometimes raises inside `take`. The loop reads a 
 import argparse
 import gc
 import inspect
+import math
 import os
 import signal
 import sys
@@ -56,8 +57,6 @@ topic whose name ROS does not accept."""
 _SPIN_TIMEOUT = 0.2
 # Period of serving services, parameters and slow timers while the ticks are made here [s].
 _SERVE_PERIOD = 0.1
-# Looks for messages per period. A look takes a tenth of the time of an executor's wait.
-_LOOKS = 8
 # Destroying two nodes and shutting down takes about 20 ms, on a loaded machine 0.5 s.
 _TEARDOWN_TIMEOUT = 5.0
 
@@ -68,8 +67,8 @@ class Ticker:
     An rclpy timer rebuilds the wait set twice per tick, which at 200 Hz costs more than all the
     work of an observer. So `run` makes a node's ticks itself: it sleeps on the monotonic clock
     until the next tick, and serves everything else in between. In another executor, or under
-    simulated time, which passes only in an executor, the tick is an ordinary timer. For the same
-    reason it looks for messages itself if they are wanted as soon as they arrive.
+    simulated time, which passes only in an executor, the tick is an ordinary timer. If messages are
+    wanted as soon as they arrive, `run` looks for them: a look takes a tenth of an executor's wait.
 
     Args:
         node: The node; while it follows simulated time, an executor makes the ticks.
@@ -77,7 +76,8 @@ class Ticker:
         callback: The work of a tick; returns the time until the next one [ns], None for the period.
         executor_clock: The clock of ticks in an executor; None for the node's, which stands still
             while simulated time does.
-        look: Called several times per period between the ticks that `run` makes; None for never.
+        look: Called between the ticks that `run` makes, None for never.
+        look_period: Time between two looks [s].
     """
 
     def __init__(
@@ -87,9 +87,10 @@ class Ticker:
         callback: Callable[[], int | None],
         executor_clock: Clock | None = None,
         look: Callable[[], None] | None = None,
+        look_period: float = math.inf,
     ) -> None:
         self._clock = node.get_clock()
-        self._callback, self._look = callback, look
+        self._callback, self._look, self._look_period = callback, look, look_period
         self._period_ns = self._scheduled = round(period * 1e9)
         # Next tick on the monotonic clock [ns]; None while an executor makes ticks, as at first.
         self._due: int | None = None
@@ -112,7 +113,6 @@ class Ticker:
             return False
         now = time.monotonic_ns()
         end = now + round(seconds * 1e9)
-        longest = self._period_ns // _LOOKS if self._look is not None else end
         if self._due is None:
             self._timer.cancel()
             self._due = now
@@ -120,7 +120,7 @@ class Ticker:
             if now >= self._due:
                 self._due = self._next(self._due)
             else:
-                time.sleep(min(self._due - now, end - now, longest) * 1e-9)
+                time.sleep(min((min(self._due, end) - now) * 1e-9, self._look_period))
                 if self._look is not None:
                     self._look()
             now = time.monotonic_ns()

@@ -119,6 +119,7 @@ class DrainedSubscription:
 
     def discard(self) -> None:
         """Discard the messages in the queue, at most as many as fit in it."""
+        self._first.clear()
         self.drain(self._first.maxlen)
 
     def look(self) -> None:

@@ -38,7 +38,7 @@ class Sensor(Numbers, kind="sensor"):
     noise_time_constant: float = seconds(0.0, "Time constant of the noise's correlation; 0: white")
     noise_degrees: int = live_setting(
         0,
-        "Degrees of freedom of Student's t, which noise_std multiplies; 0: normal",
+        "Degrees of freedom of Student's t, times the standard deviation; 0: normal",
         minimum=0,
         maximum=1000,
     )

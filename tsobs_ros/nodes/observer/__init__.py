@@ -70,6 +70,8 @@ _MAX_SHARE = 0.4
 _MAX_BACKLOG = 0.05
 # The highest rate of one node [Hz]; a design may have a higher one.
 _FASTEST = 2000.0
+# Looks for measurements per period of the fastest design, with `publish_on: measurement`.
+_LOOKS = 8
 
 
 class Observer(ManagedNode[ObserverParameters]):
@@ -112,8 +114,13 @@ class Observer(ManagedNode[ObserverParameters]):
         self.offer_diagnostics(", ".join(parameters.joints), self._statuses)
         self.offer_triggers({"reset": self._on_reset})
         self.create_service(SetBool, "~/enable", self._on_enable)
-        look = self._measurements.look if at_once else None
-        self.ticker = self._ticker = Ticker(self, 1.0 / self._rate, self._work, look=look)
+        self.ticker = self._ticker = Ticker(
+            self,
+            1.0 / self._rate,
+            self._work,
+            look=self._measurements.look if at_once else None,
+            look_period=1.0 / (_LOOKS * min(max(own, self._rate), _FASTEST)),
+        )
         for joint in self.joints:
             design = f"design {joint.design.file} ({identity(joint.design)})"
             self.log(Level.OK, f"{joint.name}: {design}: certificate holds")

@@ -12,7 +12,7 @@ topics, sensor_msgs/msg/JointState without another type:
                                    effort: torque on <joint>_motor and <joint>_link in addition to
                                    the known one: contact, friction, payload [N m]
   joint_torque_command (in)        std_msgs/msg/Float64MultiArray: torque in place of `excitation`
-                                   [N m], one number per joint
+                                   [N m], one number per arm
   /clock (out)                     rosgraph_msgs/msg/Clock, with `publish_clock`
 
 services:
