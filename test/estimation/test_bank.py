@@ -382,6 +382,19 @@ def test_a_clean_encoder_does_not_oscillate_with_the_arm_that_has_friction() -> 
     assert np.abs(got.state - run.state)[5000:, 2].max() < 0.005
 
 
+def test_no_single_gain_serves_all_angles_under_strong_gravity() -> None:
+    """With the certified gain, the link's angle would have 2.5 times the error of the filter."""
+    request = ArmRequest(outputs=(Output("motor_angle", 0.002),), x_max=3.0, uncertainty={})
+    run = ts.simulate(request, duration=40.0, torque=math.sin, seed=1)
+    design, errors = synthesise(request), []
+    for method in ("certified", "ekf_plain"):
+        got = ts.estimate(
+            design, run.time, run.angle, run.torque, settings=ObserverSettings(method=method)
+        )
+        errors.append((got.state - run.state)[4000:].std(axis=0))
+    assert (errors[0] < 1.1 * errors[1]).all()
+
+
 def test_slow_innovations_tell_no_more_at_a_high_rate() -> None:
     """Their price per second is limited: else a stiff joint as designed seems to be pushed."""
     arm = ElasticJointArm(0.5, 0.4, 49300.0, 5.0, motor_damping=2.0)
