@@ -123,12 +123,9 @@ class DrainedSubscription:
         self.drain(self._first.maxlen)
 
     def look(self) -> None:
-        """Call back if a message has arrived."""
-        own = self.subscription
-        with own.handle:
-            message = own.handle.take_message(own.msg_type, own.raw)
-        if message is not None:
-            self._arrived(*message)
+        """Call back if a message has arrived, unless an earlier one still waits for `drain`."""
+        for message, info in () if self._first else self.drain(1):
+            self._arrived(message, info)
 
     def _arrived(self, message: Any, info: Any) -> None:
         """Keep the message that an executor has taken, and call back."""
