@@ -60,10 +60,15 @@ def test_numbers_fill_their_ranges_and_the_designs_bounds(short: Campaign) -> No
     assert np.std([one.amplitude for one in biases]) == pytest.approx(0.3, rel=0.15)
 
 
-def test_damping_and_inertia_are_those_that_a_design_calls_uncertain() -> None:
+def test_damping_inertia_and_gain_are_those_that_a_design_calls_uncertain() -> None:
     request = ArmRequest(
         arm=ElasticJointArm(link_damping=0.2),
-        uncertainty={"link_damping": 0.5, "motor_damping": 0.5, "link_inverse_inertia": 0.5},
+        uncertainty={
+            "link_damping": 0.5,
+            "motor_damping": 0.5,
+            "link_inverse_inertia": 0.5,
+            "torque_gain": 0.5,
+        },
     )
     design = load_design()
     asked = Campaign(CampaignEntries(), replace(design, request=request))
@@ -76,6 +81,7 @@ def test_damping_and_inertia_are_those_that_a_design_calls_uncertain() -> None:
         assert friction.motor_viscous == pytest.approx(one.theta["motor_damping"])
         assert 1.0 / arm.link_inertia == pytest.approx(1.0 + one.theta["link_inverse_inertia"])
         assert one.theta["motor_damping"] >= 0.0
+        assert one.scenario.true_torque.gain == pytest.approx(1.0 + one.theta["torque_gain"])
         assert violated(one.scenario, request) == ()
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import tsobs_ros as ts
+from tsobs_ros.api import Simulation
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
@@ -393,6 +394,44 @@ def test_no_single_gain_serves_all_angles_under_strong_gravity() -> None:
         )
         errors.append((got.state - run.state)[4000:].std(axis=0))
     assert (errors[0] < 1.1 * errors[1]).all()
+
+
+def compared(request: ArmRequest, run: Simulation, torque: Array | None = None) -> Array:
+    """Return the ratios of our errors of the states to those of a plain Kalman filter."""
+    design, errors = synthesise(request), []
+    for method in ("certified", "ekf_plain"):
+        settings = ObserverSettings(method=method)
+        given = run.torque if torque is None else torque
+        got = ts.estimate(design, run.time, run.angle, given, settings=settings)
+        errors.append(np.sqrt(((got.state - run.state)[20 * RATE :] ** 2).mean(axis=0)))
+    return errors[0] / errors[1]
+
+
+def test_a_torque_that_acts_late_is_no_drift_of_a_clean_encoder() -> None:
+    """Its slight errors of the model are explained best by a drift, which is twice as far off."""
+    request = ArmRequest(outputs=(Output("link_angle", 0.005),))
+    for seed in range(2):
+        run = ts.simulate(request, duration=60.0, torque=math.sin, seed=seed)
+        assert (compared(request, run, np.roll(run.torque, -3)) < 1.1).all()
+
+
+def test_friction_of_the_link_is_not_taken_for_friction_of_the_motor() -> None:
+    """The error of the motor's angle would be five times that of the filter."""
+    bias = (DisturbanceTerm("bias", {"density": 1e-6, "initial_std": 0.05}),)
+    request = ArmRequest(outputs=(Output("motor_angle", 0.002), Output("link_angle", 0.005, bias)))
+    friction = {"link_coulomb": 0.05}
+    run = ts.simulate(request, duration=60.0, torque=math.sin, friction=friction, seed=1)
+    assert compared(request, run)[[0, 2]].max() < 1.4
+
+
+def test_the_gain_of_the_drive_is_learnt_if_the_design_asks_for_it() -> None:
+    request = ArmRequest(uncertainty={"stiffness": 0.4, "gravity": 0.4, "torque_gain": 0.1})
+    run = ts.simulate(
+        request, mismatch={"torque_gain": -0.09}, duration=60.0, torque=math.sin, seed=2
+    )
+    got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
+    assert got.parameters[-1] == pytest.approx([0.0, 0.0, -0.09], abs=0.03)
+    assert compared(request, run)[[0, 2]].max() < 0.5
 
 
 def test_slow_innovations_tell_no_more_at_a_high_rate() -> None:

@@ -64,7 +64,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "63473366e36e3b7b",
+    "supervised arm": "67b90210707c1fe8",
     "pendulum": "7d3c08f11b4a7227",
     "proportional": "770de7dfd97e1b18",
     "proportional-integral": "ad4c24c02e1d2d1b",

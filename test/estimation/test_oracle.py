@@ -7,6 +7,7 @@ The learning of parameters is compared with that of an augmented filter in test_
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -180,9 +181,12 @@ def alone(state: Record, place: int) -> Record:
     return other
 
 
-def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
+@pytest.mark.parametrize("is_clean", [False, True])
+def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments(is_clean: bool) -> None:
     """Of the hypotheses that compete for friction and a tone, each as it stands alone."""
     design = load_design(config_path(SHIPPED_DESIGN))
+    if is_clean:
+        design = synthesise(replace(design.arm_request, disturbance=()))
     observer, request = make_estimator(design, SOON), design.request
     scenario = arm_with(SCENARIOS["friction"].friction, Sinusoid(0.1, 3.0, 1.0))
     run = simulate(scenario, [1], 6.0)
@@ -201,6 +205,8 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
         price = max(1.0, one["slow_power"] / (BANK["SIGN_SLOW"] * max(one["nis"], 1.0)))
         if one["kind"] == Hypothesis.TONE:
             price += 0.5 * (1.0 + max(1.0, one["slow_power"] / (BANK["QUIET"] * one["nis"])))
+        if is_clean:
+            price += (0.0, 1.0, 1.0, 1.0, 1.0, 1.5, 2.0)[one["kind"]]
         found = -0.5 * (y - seen @ one["x"]) ** 2 / S - 0.5 * math.log(S)
         return max(found - BANK["SLOW_PRICE"] * price, least)
 
@@ -219,8 +225,14 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
         counting = after["live"] & (after["score"] >= -0.8 * BANK["FLOOR"])
         if np.isin(after["fork"][np.flatnonzero(counting)], [3, 4, 5]).any():
             continue  # undecided ones widen the bound only
-        pushed = after["kind"][state["best"][0]] != Hypothesis.AS_DESIGNED
-        least = np.where(np.isin(np.arange(len(after)), RIVALS) & pushed, 1.0 / 6.0, 0.0)
+        best = after[state["best"][0]]
+        pushed = best["kind"] != Hypothesis.AS_DESIGNED or best["slow_power"] > BANK["SIGN_SLOW"]
+        rivals = np.isin(np.arange(len(after)), RIVALS) & pushed
+        if best["kind"] == Hypothesis.TONE:  # they follow it until that contradicts them
+            power = BANK["QUIET"] * np.maximum(after["nis"], BANK["LEAST_SCALE"] ** 2)
+            rivals &= after["nis"] <= BANK["VOID"]
+            rivals &= after["slow_power"] <= 7.0 * BANK["VOID"] * power
+        least = np.where(rivals, 1.0 / 6.0, 0.0)
         live = np.flatnonzero(after["live"] & (counting | (least > 0.0)))
         weights = np.exp(after["score"][live])
         decided, weights = weights * counting[live], np.maximum(weights, least[live])
@@ -276,7 +288,7 @@ def test_what_a_design_with_a_motor_torque_lacks_is_at_the_link() -> None:
         uncertainty={},
     )
     observer, T = make_estimator(synthesise(request), SOON), request.period
-    check(observer.model["force"], 2.0 * 0.2 / 0.8, "size of FORCE")
+    check(observer.model["force"], [[0.0, 2.0 * 0.2 / 0.8]], "size of FORCE")
 
     n, push, more = observer.shape.n, 3.0, BANK["IMPERFECTION"] - 1.0
 

@@ -13,7 +13,7 @@ from scipy.stats import t
 
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
@@ -321,6 +321,11 @@ def test_mismatch_changes_the_arm_but_not_its_start() -> None:
     np.testing.assert_allclose(run.physical, other.physical, rtol=0.0, atol=1e-13)
     # Design coordinates are the nominal arm's, so their motor angle is k/J1 = 10 times the true.
     assert run.states[0] == pytest.approx([0.3, 0.0, 2.0, 0.0])
+    weak, torque = replace(QUIET, mismatch=Mismatch(torque_gain=-0.2)), np.full((20, 1), 3.0)
+    known = Plant(replace(QUIET, torque=TorquePath(gain=0.8)))
+    run, other = Plant(weak).run(20, torque), known.run(20, torque)
+    assert (run.physical == other.physical).all()
+    assert (run.torques == torque).all()
 
 
 def test_process_noise_has_the_stated_density() -> None:

@@ -283,6 +283,7 @@ def _thetas(mismatch: Mismatch, arm: ElasticJointArm) -> dict[str, float]:
         "motor_damping": mismatch.motor_damping * arm.motor_damping,
         "link_inverse_inertia": 1.0 / (1.0 + mismatch.link_inertia) - 1.0,
         "motor_inverse_inertia": 1.0 / (1.0 + mismatch.motor_inertia) - 1.0,
+        "torque_gain": mismatch.torque_gain,
     }
 
 

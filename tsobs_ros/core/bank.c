@@ -78,7 +78,8 @@ const char *model_view(double *memory, size_t length, model *view)
     if (!(*view->period >= SHORTEST) || (*view->supervised != 0 && s->hypotheses == 1)
         || (*view->torque_rate > 0.0 && s->width == s->n)
         || (s->m == 0 && (*view->torque_limit > 0.0 || *view->design_flow.kind == KIND_ARM))
-        || (*view->at_link != 0 && *view->design_flow.kind != KIND_ARM)
+        || ((*view->explains_motor != 0 || view->force[1] != 0.0)
+            && *view->design_flow.kind != KIND_ARM)
         || !state_is_sound(view, &initial)) {
         return "expected a model's record of numbers that belong together";
     }
@@ -260,11 +261,13 @@ static void reset_covariances(const model *m, const hypothesis *h)
 static void begin_kind(
     const model *m, const state *at, long place, long kind, int64_t fork, double score)
 {
-    const long n = m->s.n, p = m->s.p, width = m->s.width, force = force_place(m);
+    const long n = m->s.n, p = m->s.p, width = m->s.width;
     const hypothesis h = begin_from_best(m, at, place, fork, score);
     change_kind(m, at, &h, kind);
-    if (kind == FORCE && h.covariance[force * (width + 1)] <= 0.0) {
-        h.covariance[force * (width + 1)] = *m->force * *m->force;
+    for (long i = n; kind == FORCE && i < states_in_use(m, &h); i++) {
+        if (h.covariance[i * (width + 1)] <= 0.0) {
+            h.covariance[i * (width + 1)] = m->force[i - n] * m->force[i - n];
+        }
     }
     for (long j = 0; j < p && kind == COLOURED_NOISE; j++) {
         h.covariance[(n + 1 + j) * (width + 1)] = m->R[j * p + j] * *h.size * *h.size;
@@ -283,7 +286,7 @@ static int is_considered(const model *m, long kind)
 {
     const double *c = m->constants;
     const double differences[TONE] = {
-        1.0, *m->force, c[IMPERFECTION] - 1.0, c[NOISE_FACTOR] - 1.0, c[COLOUR_SIZE],
+        1.0, m->force[0] + m->force[1], c[IMPERFECTION] - 1.0, c[NOISE_FACTOR] - 1.0, c[COLOUR_SIZE],
         c[DRIFT_SIZE],
     };
     return kind < TONE && differences[kind] > 0.0;
@@ -1119,7 +1122,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
         reset_if_rejecting(m, at, &h, effect);
         return;
     }
-    const int has_sign = outliers || *h.slow_power > m->constants[SIGN_SLOW];
+    const int has_sign = outliers || has_slow_sign(m, &h);
     if (*at->age > 0.0 ? has_sign : m->s.k > 0) {
         activate_bank(m, at);
     }
@@ -1162,7 +1165,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     hypothesis h;
     if (*at->in_gap != 0 && *at->torque_unknown == 0) {
         for (long i = 0; find_live(m, at, &i, &h); i++) {
-            if (*h.kind != FORCE || *m->at_link != 0) {
+            if (*h.kind != FORCE || *m->explains_motor != 0) {
                 clear_auxiliary(m, &h, m->s.n, m->s.n + 1);
             }
         }

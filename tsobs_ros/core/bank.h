@@ -88,18 +88,26 @@ static inline int is_contradicted(const model *m, const hypothesis *h)
     return !(*h->nis <= most && slowness <= 7.0 * most);
 }
 
+/* Return whether a hypothesis has a sign of being wrong: the power of its slow innovations. */
+static inline int has_slow_sign(const model *m, const hypothesis *h)
+{
+    return *h->slow_power > m->constants[SIGN_SLOW];
+}
+
 /* Return the least weight of a hypothesis in the bounds, relative to the likeliest one's. Unless
- * that is the design, FORCE, IMPERFECT and DRIFT may explain the same samples, and their likelihood
- * decides only if the rest of the model is right. With 1/6 each, three bounds reach all of them.
- * In a tone of an arm's sensor, they count only until their innovations contradict them. */
+ * that is the design and has no slow sign, FORCE, IMPERFECT and DRIFT may explain the same samples,
+ * and their likelihood decides only if the rest of the model is right. With 1/6 each, three bounds
+ * reach all of them. In a tone of an arm's sensor, they count only until their innovations
+ * contradict them. */
 static inline double least_weight(
     const model *m, const state *at, long place, const hypothesis *h)
 {
-    const int64_t best = *best_of(m, at).kind;
+    const hypothesis best = best_of(m, at);
     const int is_rival = place == FORCE || place == IMPERFECT || place == DRIFT;
+    const int is_needed = *best.kind != AS_DESIGNED || has_slow_sign(m, &best);
     const int is_failed
-        = best == TONE && *m->design_flow.kind == KIND_ARM && is_contradicted(m, h);
-    return is_rival && best != AS_DESIGNED && !is_failed ? 1.0 / 6.0 : 0.0;
+        = *best.kind == TONE && *m->design_flow.kind == KIND_ARM && is_contradicted(m, h);
+    return is_rival && is_needed && !is_failed ? 1.0 / 6.0 : 0.0;
 }
 
 /* Return whether the live hypothesis h counts in the published bounds. */
@@ -113,13 +121,6 @@ static inline int counts_in_bounds(
 static inline double halfway_from(const model *m, double frequency)
 {
     return 0.5 * (m->constants[TONE_RATIO] - 1.0) * frequency;
-}
-
-/* Return the place of FORCE's state: that of the unknown torque, or the next one if FORCE is at the
- * link, as a gap needs the torque's state beside it. */
-static inline long force_place(const model *m)
-{
-    return m->s.n + (*m->at_link != 0);
 }
 
 /* --- bank.c: torques --- */

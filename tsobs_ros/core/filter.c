@@ -31,7 +31,7 @@ long states_in_use(const model *m, const hypothesis *h)
     case TONE:
         return h->x[n + 6] > 0.0 ? n + 7 : n + 4;
     case FORCE:
-        return force_place(m) + 1;
+        return m->force[1] > 0.0 ? n + 2 : n + 1;
     default:
         return h->covariance[n * m->s.width + n] > 0.0 ? n + 1 : n;
     }
@@ -91,13 +91,22 @@ static outlook expect(
 /* Return the price of a sample, whose base is at most 1 nat per second. It rises with slow
  * innovations: however small, they show that a hypothesis is wrong, unless all innovations are
  * smaller than the design's noise makes them. TONE pays more, as a wrong model of the arm may look
- * like a tone. */
+ * like a tone. If a sensor has no disturbance that can stay, all but the design pay more, as such a
+ * sensor shows slight errors of the model, which they explain better, but wrongly: most of all
+ * DRIFT and TONE, by a fault of the sensor itself. */
 static double price_of(const model *m, const hypothesis *h)
 {
     const double sign = m->constants[SIGN_SLOW] * maximum(*h->nis, 1.0);
     double price = maximum(1.0, *h->slow_power / sign);
+    int is_clean = 0;
+    for (long i = 0; i < m->s.p; i++) {
+        is_clean |= m->disturbed[i] == 0;
+    }
     if (*h->kind == TONE) {
         price += 0.5 * (1.0 + maximum(1.0, slowness_of(m, *h->slow_power, *h->nis)));
+    }
+    if (*h->kind != AS_DESIGNED && is_clean) {
+        price += *h->kind == TONE ? 2.0 : *h->kind == DRIFT ? 1.5 : 1.0;
     }
     return minimum(m->constants[SLOW_PRICE], *m->period) * price;
 }
@@ -353,11 +362,10 @@ static void write_own_motion(
     const double torque = left_after(m, duration, FORCE_TIME, left);
     D[0] = torque;
     added[0] = along->forgotten * duration;
-    if (*h->kind == FORCE) {
-        const long at = force_place(m) - m->s.n;
-        const double size = *h->size * *m->force;
-        D[at * (stride + 1)] = torque;
-        added[at] += size * size * (1.0 - torque * torque);
+    for (long i = 0; *h->kind == FORCE && m->s.n + i < states_in_use(m, h); i++) {
+        const double size = *h->size * m->force[i];
+        D[i * (stride + 1)] = torque;
+        added[i] += size * size * (1.0 - torque * torque);
     }
     if (*h->kind == TONE) {
         const double decay = left_after(m, duration, TONE_TIME, left);
@@ -410,7 +418,7 @@ static inline void move_by(
  *     F = [J g e'; 0 D]
  *
  * for design's and auxiliary states. g is the effect of the first auxiliary state, the unknown
- * torque. FORCE at the link adds that of the second: half a kick at each end of the step. */
+ * torque. FORCE adds that of the second on an arm's link: half a kick at each end of the step. */
 static void step_hypothesis(
     const model *m, hypothesis *h, course *along, int is_rest, double *u, int simple, work *scratch)
 {
@@ -420,7 +428,7 @@ static void step_hypothesis(
     const long used = simple ? n : states_in_use(m, h), count = used - n;
     const double *F = count > 0 ? scratch->map : step->J;
     double *moved = scratch->moved, *added = scratch->added, *map = scratch->map;
-    const int is_at_link = count > 0 && *h->kind == FORCE && *m->at_link != 0;
+    const int is_at_link = count > 1 && *h->kind == FORCE;
     const double half = 0.5 * over->duration;
     if (count > 0 && m->s.m > 0) {
         u[0] += h->x[n];
@@ -525,8 +533,8 @@ void predict_hypothesis(
         const double half = *f->kind == KIND_SYSTEM ? 2.0 : 1.0;
         /* In a long gap the design does not explain the motor, either. */
         const int is_known = along->forgotten == 0.0 || duration < 8.0 * *m->period;
-        const int at_link = *m->at_link != 0 && *h->kind == IMPERFECT && is_known;
-        const long moved = at_link ? 2 : m->s.plant; /* the link's states, or all */
+        const int only_link = *m->explains_motor != 0 && *h->kind == IMPERFECT && is_known;
+        const long moved = only_link ? 2 : m->s.plant; /* the link's states, or all */
         for (long i = 0; i < moved; i++) {
             add_scaled(h->covariance + i * m->s.width, half * more, f->noise + i * m->s.n, moved);
         }

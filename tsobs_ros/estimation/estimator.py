@@ -49,6 +49,9 @@ _LONGEST = 3600.0
 _LASTING = 0.2
 """A disturbance with a mode slower than this [1/s] can stay at the value that it jumped to."""
 
+_LINK_SHARE = 0.3
+"""1σ of FORCE's torque at the link, relative to that at the motor: drives have more friction."""
+
 _CONSTANTS_OF_SYSTEMS = {
     "COLOUR_TIME": 0.4,  # for an arm, noise so slow would explain wrong parameters
     "COLOUR_SIZE": 1.0,
@@ -363,12 +366,13 @@ def certified_estimator(
     if isinstance(flow, ArmFlow):
         one["torque_rate"] = non_negative("torque_rate", torque_rate)
         share = one["constants"][CONSTANTS["FORCE_SHARE"]]
-        one["force"], one["modes"] = share * flow.arm.reference_torque, flow.arm.modes
+        force, one["modes"] = share * flow.arm.reference_torque, flow.arm.modes
+        at_motor, at_link = force, _LINK_SHARE * force
         explains_motor, explains_link = (bool(each.any()) for each in flow.torques)
         if explains_motor and not explains_link:
             known = math.sqrt(congruent(flow.torques[:1], initial_covariance)[0, 0])
-            one["at_link"] = 1
-            one["force"] = max(2.0 * known, one["force"][()]) / flow.arm.link_inertia
+            at_motor, at_link, one["explains_motor"] = 0.0, max(2.0 * known, force), 1
+        one["force"] = at_motor, at_link / flow.arm.link_inertia
         if explains_motor:  # a torque at the motor explains a wrong stiffness, too
             measured = flow.output_matrix[:, :plant].reshape(p, 2, 2).any(axis=(0, 2))
             one["hidden"] = np.repeat(~measured & (estimator.shape.k == 0), 2)
@@ -376,7 +380,8 @@ def certified_estimator(
         for name, value in _CONSTANTS_OF_SYSTEMS.items():
             one["constants"][CONSTANTS[name]] = value
         if flow.input_count > flow.scheduled_count:
-            one["force"] = _unknown_input(flow, np.sqrt(np.diag(initial_covariance)[:plant]))
+            initial_std = np.sqrt(np.diag(initial_covariance)[:plant])
+            one["force"] = _unknown_input(flow, initial_std), 0.0
     one["initial"]["hypotheses"][0]["settling"] = non_negative("settle_time", settle_time)
     one["domain"] = np.sqrt(np.diag(initial_covariance)[:plant])
     if domain is not None:

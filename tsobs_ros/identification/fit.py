@@ -217,10 +217,10 @@ def _observable(optimum: Optimum, recording: Recording, advance: Advance) -> Arm
         smooth = with_values(replace(joint, request=request), dict.fromkeys(FRICTION, 0.0))
         noises = replace(Unknowns.of(request).noises().without(*known), joint=smooth)
         request = maximise(noises, recording, advance, starts=1).joint.request
-    bounds = {
+    bounds = {  # the arm's numbers that are found suit the torque as it is
         name: bound
         for name, bound in request.uncertainty.items()
-        if not (name.endswith("damping") and f"arm.{name}" in found)
+        if not (name.endswith("damping") and f"arm.{name}" in found) and name != "torque_gain"
     }
     for name, entry in UNCERTAINTY.items():
         if (each := found.get(f"arm.{name}")) is not None:

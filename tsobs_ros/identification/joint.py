@@ -279,7 +279,8 @@ def numbers_of(request: ArmRequest) -> list[Number]:
         add(f"arm.{name}", own, std if own else _NOISE, _SMALL * torque / speed)
     for name in FRICTION:
         add(name, 0.0, _NOISE, _SMALL * torque)
-    add(TORQUE_GAIN, request.torque.gain, _UNKNOWN)
+    gain_bound = request.uncertainty.get("torque_gain", _UNKNOWN / _BOUND_STD)
+    add(TORQUE_GAIN, request.torque.gain, gain_bound * _BOUND_STD)
     add(OFFSET, request.torque.offset, 0.1 * torque, positive=False)
     add(DELAY, request.torque.delay, 2.0 * period, positive=False)
     for side in ("link", "motor"):

@@ -49,9 +49,10 @@ ARM_DIRECTIONS = (
     "motor_damping",
     "link_inverse_inertia",
     "motor_inverse_inertia",
+    "torque_gain",
 )
-"""The arm's uncertain parameters: relative changes of k, of mgl, of 1/J₁ and of 1/J₂, and added
-damping [N m s/rad]."""
+"""The arm's uncertain parameters: relative changes of k, of mgl, of 1/J₁, of 1/J₂ and of the torque
+at the motor, and added damping [N m s/rad]."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncert
     of_link[EXTERNAL] = 1.0 / arm.link_inertia
     of_motor = found["motor_inverse_inertia"][0, motor]
     of_motor[:4], of_motor[TORQUE] = arm.spring_matrix[motor], arm.input_matrix[motor, 0]
+    found["torque_gain"][0, motor, TORQUE] = arm.input_matrix[motor, 0]
     stack = np.reshape([found[name] for name in bounds], (len(bounds), 1, 4, EXTERNAL + 1))
     return Uncertainty(tuple(bounds), np.array([*bounds.values()], np.float64), stack)
 

@@ -82,7 +82,7 @@ class Uncertainty:
 
     @property
     def linear_places(self) -> list[int]:
-        """Places of the directions that act on the state linearly: all except gravity's.
+        """Places of the directions that act on the state linearly: not gravity's and the torque's.
 
         Raises `ModelError` if there are too many of them for a proof by vertices.
         """

@@ -56,6 +56,7 @@ class Mismatch(Numbers, kind="mismatch"):
     gravity_torque: float = _change("torque that holds the link horizontal")
     link_damping: float = _change("link's damping")
     motor_damping: float = _change("motor's damping")
+    torque_gain: float = _change("torque at the motor")
 
 
 def _amount(description: str, unit: str) -> float:
@@ -233,7 +234,8 @@ class PlantScenario:
             it is; None for an independent signal.
         torque_disturbance: Signals of the disturbance of each torque.
         torque_error: Signals whose sum is the error of the first input as reported [N m].
-        torque: How the commanded first input, which is the reported one, reaches the plant.
+        torque: How the commanded first input, which is the reported one, reaches the plant by the
+            design.
     """
 
     rate: float = 200.0
@@ -257,6 +259,11 @@ class PlantScenario:
     def to_design(self, physical: Array) -> Array:
         """Return states in design coordinates, for an arm those of the nominal one, (..., n)."""
         return physical
+
+    @property
+    def true_torque(self) -> TorquePath:
+        """How the commanded first input really reaches the plant."""
+        return self.torque
 
     @property
     def input_count(self) -> int:
@@ -317,8 +324,12 @@ class Scenario(PlantScenario):
     def true_arm(self) -> ElasticJointArm:
         """The arm that really moves."""
         changes = asdict(self.mismatch)
-        own = {name: getattr(self.arm, name) * (1.0 + by) for name, by in changes.items()}
+        own = {name: by * (1.0 + changes[name]) for name, by in asdict(self.arm).items()}
         return ElasticJointArm(**own)
+
+    @property
+    def true_torque(self) -> TorquePath:
+        return replace(self.torque, gain=self.torque.gain * (1.0 + self.mismatch.torque_gain))
 
     def motion(self, seeds: Sequence[int]) -> Motion:
         return ArmMotion(self, seeds)
@@ -435,7 +446,7 @@ class Plant:
         fed_back = enumerate(scenario.fed_back, scenario.input_count)
         self._fed_back = [(place, number) for place, number in fed_back if number is not None]
         self._held = np.zeros((len(runs), len(self._outputs)))
-        self._path = TorqueDelay(scenario.torque, rate)
+        self._path = TorqueDelay(scenario.true_torque, rate)
         # In estimators the error of a reported torque takes the same path.
         self._error_path = TorqueDelay(replace(scenario.torque, offset=0.0), rate)
 
