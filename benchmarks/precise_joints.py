@@ -11,6 +11,7 @@ observers get one encoder, of link or motor; the error is that of the other angl
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from multiprocessing import Pool
 from typing import NamedTuple
 
@@ -147,7 +148,8 @@ class Found(NamedTuple):
     """The results of a case, each of shape (runs,).
 
     Attributes:
-        errors: RMSE of the hidden angle by contender [rad].
+        errors: RMSE of the hidden angle by contender, "learning" with a design that learns the
+            stiffness [rad].
         inside: Share of our errors of the hidden angle within three bounds.
         claimed: Share of samples with claimed bounds.
         broken: Share of these with an error of an angle or a speed beyond three bounds.
@@ -206,11 +208,11 @@ def simulated(case: Case, seeds: Sequence[int]) -> Trajectories:
     )
 
 
-def judged(case: Case, design: Design, runs: Trajectories) -> Found:
-    """Return the results of ours and of the two EKFs."""
+def judged(case: Case, design: Design, learning: Design, runs: Trajectories) -> Found:
+    """Return the results of ours, of ours with the other design, and of the two EKFs."""
     late, place = runs.times >= _JUDGED, case.hidden
     mine = observe(design, runs)
-    states = {"ours": mine.rows["state"]}
+    states = {"ours": mine.rows["state"], "learning": observe(learning, runs).rows["state"]}
     for who, method in (("plain", "ekf_plain"), ("gated", "ekf")):
         states[who] = observe(design, runs, ObserverSettings(method=method)).rows["state"]
     away = {who: (each - runs.physical)[:, late] for who, each in states.items()}
@@ -228,7 +230,9 @@ def _work(job: tuple[str, tuple[int, ...]]) -> tuple[str, Found]:
     """Design, simulate and judge a case."""
     name, seeds = job
     case = CASES[name]
-    return name, judged(case, synthesise(case.request), simulated(case, seeds))
+    learning = replace(case.request, uncertainty={"stiffness": 0.3})
+    runs = simulated(case, seeds)
+    return name, judged(case, synthesise(case.request), synthesise(learning), runs)
 
 
 def demands(results: Mapping[str, Found]) -> Iterator[Demand]:
@@ -248,14 +252,16 @@ def _page(results: Mapping[str, Found], found: Sequence[Demand], options: str) -
     failed = sum(not one.passed for one in found)
     yield f"{options} {failed} of {len(found)} demands are missed. Errors are in mrad.\n"
     by_place = {(one.scenario, one.kind): one for one in found}
-    yield from head("joint", "ours", "plain EKF", "ratio", "inside", "broken")
+    yield from head("joint", "ours", "plain EKF", "ratio", "inside", "broken", "learning")
     for name, one in results.items():
         cells = [f"{1e3 * one.errors[who].mean():.1f}" for who in ("ours", "plain")]
         for kind in ("ratio", "inside"):
             demand = by_place[name, kind]
             text = f"{demand.value:.2f}"
             cells.append(text if demand.passed else f"**{text}**")
-        yield row(name, *cells, f"{one.broken.mean():.2f}")
+        best = min(one.errors[who].mean() for who in ("plain", "gated"))
+        learning = one.errors["learning"].mean() / best
+        yield row(name, *cells, f"{one.broken.mean():.2f}", f"{learning:.2f}")
 
 
 def main() -> None:

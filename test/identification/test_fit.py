@@ -163,13 +163,13 @@ def test_a_stiffness_that_never_bends_is_not_found() -> None:
 
 def test_the_gain_is_found_where_an_inertia_is_known() -> None:
     truth = request_of(ARM, "motor_angle", torque=TorquePath(gain=0.8))
-    found = ts.fit(
-        request_of(ARM, "motor_angle"), recorded(truth, 4.0), free=["torque.gain", "motor_damping"]
-    )
+    asked = request_of(ARM, "motor_angle", uncertainty={"torque_gain": 0.4})
+    found = ts.fit(asked, recorded(truth, 4.0), free=["torque.gain", "motor_damping"])
 
     gain = found.number("torque.gain")
     assert gain.value == pytest.approx(0.8, abs=4.0 * gain.std)
     assert found.request.torque.gain == pytest.approx(gain.value, rel=1e-5)
+    assert "torque_gain" not in found.request.uncertainty
 
 
 def test_a_sensor_that_shows_what_the_arm_does_not_do_gets_a_disturbance() -> None:

@@ -286,8 +286,8 @@ static int is_considered(const model *m, long kind)
 {
     const double *c = m->constants;
     const double differences[TONE] = {
-        1.0, m->force[0] + m->force[1], c[IMPERFECTION] - 1.0, c[NOISE_FACTOR] - 1.0, c[COLOUR_SIZE],
-        c[DRIFT_SIZE],
+        1.0, m->force[0] + m->force[1], c[IMPERFECTION] - 1.0, c[NOISE_FACTOR] - 1.0,
+        c[COLOUR_SIZE], c[DRIFT_SIZE],
     };
     return kind < TONE && differences[kind] > 0.0;
 }
@@ -1189,8 +1189,8 @@ void correct(const model *m, state *at, const double *y, correction *effect)
 }
 
 /* Return whether a hypothesis' covariance is below the certified bound, and not far below it: one
- * gain for all angles of an arm under strong gravity, or for rules of a T-S system that differ much,
- * may be far worse than Riccati's. */
+ * gain for all angles of an arm under strong gravity, or for rules of a T-S system that differ
+ * much, may be far worse than Riccati's. */
 static int is_covered(const model *m, const hypothesis *h, double *difference)
 {
     const long n = m->s.n, width = m->s.width;

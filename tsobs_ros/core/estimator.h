@@ -295,7 +295,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(NUMBER, torque_offset, 1, 1)   /* offset of the torque at the motor [N m] */                \
     F(NUMBER, torque_delay, 1, 1)    /* delay of the torque at the motor [s] */                   \
     F(VECTOR, force, 2, 1)           /* 1 sigma of FORCE: input [N m], arm's link [rad/s^2] */    \
-    F(COUNT, explains_motor, 1, 1)   /* whether the design has an unknown torque at the motor */   \
+    F(COUNT, explains_motor, 1, 1)   /* whether the design has an unknown torque at the motor */  \
     F(VECTOR, modes, 2, 1)           /* natural frequencies of an arm [rad/s] */                  \
     F(COUNT, gain_mode, 1, 1)        /* GAIN_... */                                               \
     F(MATRIX, C, s->p, s->width)     /* map from states to outputs */                             \

@@ -348,7 +348,7 @@ class ArmRequest(Request):
         decay_rate: Certified rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
         initial_std: 1σ of [q₁, q̇₁, q₂, q̇₂] before any measurement (rad, rad/s), shape (4,).
         uncertainty: Bound on |θ| of each uncertain parameter, by its name in
-            `model.flow.ARM_DIRECTIONS`: relative, below 1 for stiffness and inertias, or N m s/rad
+            `model.flow.ARM_DIRECTIONS`: relative, below 1 for all but gravity, or N m s/rad
             for a damping. Without gravity the bound of gravity is dropped.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
         torque_limit: Largest plausible torque [N m]; None: see `torque_limits`; `NO_LIMIT` or more,

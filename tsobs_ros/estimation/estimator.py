@@ -367,7 +367,8 @@ def certified_estimator(
         one["torque_rate"] = non_negative("torque_rate", torque_rate)
         share = one["constants"][CONSTANTS["FORCE_SHARE"]]
         force, one["modes"] = share * flow.arm.reference_torque, flow.arm.modes
-        at_motor, at_link = force, _LINK_SHARE * force
+        # Sensors that have a disturbance do not show on which side a force acts.
+        at_motor, at_link = force, 0.0 if one["disturbed"].all() else _LINK_SHARE * force
         explains_motor, explains_link = (bool(each.any()) for each in flow.torques)
         if explains_motor and not explains_link:
             known = math.sqrt(congruent(flow.torques[:1], initial_covariance)[0, 0])
