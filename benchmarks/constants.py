@@ -39,7 +39,7 @@ SCENES = (
     "stiff_loud_2", "stiff_pulses", "steps", "slight_friction", "stiff_friction",
     "correlated_0.9", "drift", "late_payload", "wrong_effort_50", "stiff_dropouts",
     "tone_0.1_3", "tone_0.03_8", "wander", "heavy_link", "backlash_0.03", "stiff_missing",
-    "mix_stiff_outliers_step",
+    "light_link", "mix_stiff_outliers_step",
 )  # fmt: skip
 """Scenarios that together need all parts of the bank."""
 
