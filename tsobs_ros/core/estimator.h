@@ -295,7 +295,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(NUMBER, torque_offset, 1, 1)   /* offset of the torque at the motor [N m] */                \
     F(NUMBER, torque_delay, 1, 1)    /* delay of the torque at the motor [s] */                   \
     F(VECTOR, force, 2, 1)           /* 1 sigma of FORCE: input [N m], arm's link [rad/s^2] */    \
-    F(COUNT, explains_motor, 1, 1)   /* whether the design has an unknown torque at the motor */  \
+    F(COUNT, explains_motor, 1, 1)   /* whether the design has one at the motor only */           \
     F(VECTOR, modes, 2, 1)           /* natural frequencies of an arm [rad/s] */                  \
     F(COUNT, gain_mode, 1, 1)        /* GAIN_... */                                               \
     F(MATRIX, C, s->p, s->width)     /* map from states to outputs */                             \
@@ -312,6 +312,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(MATRIX, rate_map, s->p, s->width) /* map from states to rates of disturbances */            \
     F(MATRIX, torque_map, s->t, s->width) /* map from states to unknown torques */                \
     F(COUNTS, disturbed, s->p, 1)    /* whether an output's disturbance can stay after a jump */  \
+    F(COUNT, is_clean, 1, 1)         /* whether that of some output cannot */                     \
     F(VECTOR, disturbance_std, s->p, 1) /* certified 1 sigma of the disturbances */               \
     F(VECTOR, torque_std, s->t, 1)   /* certified 1 sigma of the unknown torques */               \
     F(VECTOR, domain, s->plant, 1)   /* 1 sigma of the plant's states if nothing is known */      \

@@ -98,14 +98,10 @@ static double price_of(const model *m, const hypothesis *h)
 {
     const double sign = m->constants[SIGN_SLOW] * maximum(*h->nis, 1.0);
     double price = maximum(1.0, *h->slow_power / sign);
-    int is_clean = 0;
-    for (long i = 0; i < m->s.p; i++) {
-        is_clean |= m->disturbed[i] == 0;
-    }
     if (*h->kind == TONE) {
         price += 0.5 * (1.0 + maximum(1.0, slowness_of(m, *h->slow_power, *h->nis)));
     }
-    if (*h->kind != AS_DESIGNED && is_clean) {
+    if (*h->kind != AS_DESIGNED && *m->is_clean != 0) {
         price += *h->kind == TONE ? 2.0 : *h->kind == DRIFT ? 1.5 : 1.0;
     }
     return minimum(m->constants[SLOW_PRICE], *m->period) * price;

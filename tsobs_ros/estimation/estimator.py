@@ -301,6 +301,7 @@ def riccati_estimator(
         ("torque_map", flow.torque_map),
     ):
         fill_matrix(one[name], values)
+    one["is_clean"] = not one["disturbed"].all()
     fill_matrix(one["initial"]["hypotheses"][0]["covariance"], initial)
     estimator = Estimator(shape, model)
     if uncertainty is not None and k:
@@ -368,7 +369,7 @@ def certified_estimator(
         share = one["constants"][CONSTANTS["FORCE_SHARE"]]
         force, one["modes"] = share * flow.arm.reference_torque, flow.arm.modes
         # Sensors that have a disturbance do not show on which side a force acts.
-        at_motor, at_link = force, 0.0 if one["disturbed"].all() else _LINK_SHARE * force
+        at_motor, at_link = force, one["is_clean"] * _LINK_SHARE * force
         explains_motor, explains_link = (bool(each.any()) for each in flow.torques)
         if explains_motor and not explains_link:
             known = math.sqrt(congruent(flow.torques[:1], initial_covariance)[0, 0])

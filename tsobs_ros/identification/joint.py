@@ -269,18 +269,19 @@ def numbers_of(request: ArmRequest) -> list[Number]:
                     std = 0.1 if key == "frequency" else _NOISE
                     add(f"{prefix}.{place}.{key}", float(value), std, unit=units.get(key, ""))
 
+    def relative_std(entry: str) -> float:
+        return request.uncertainty.get(entry, _UNKNOWN / _BOUND_STD) * _BOUND_STD
+
     for name, entry in UNCERTAINTY.items():
         if start := getattr(arm, name):
-            std = request.uncertainty.get(entry, _UNKNOWN / _BOUND_STD) * _BOUND_STD
-            add(f"arm.{name}", start, std)
+            add(f"arm.{name}", start, relative_std(entry))
     for name in ("link_damping", "motor_damping"):
         own, bound = getattr(arm, name), request.uncertainty.get(name)
         std = math.log1p(bound * _BOUND_STD / own) if bound and own else 2.0 * _UNKNOWN
         add(f"arm.{name}", own, std if own else _NOISE, _SMALL * torque / speed)
     for name in FRICTION:
         add(name, 0.0, _NOISE, _SMALL * torque)
-    gain_bound = request.uncertainty.get("torque_gain", _UNKNOWN / _BOUND_STD)
-    add(TORQUE_GAIN, request.torque.gain, gain_bound * _BOUND_STD)
+    add(TORQUE_GAIN, request.torque.gain, relative_std("torque_gain"))
     add(OFFSET, request.torque.offset, 0.1 * torque, positive=False)
     add(DELAY, request.torque.delay, 2.0 * period, positive=False)
     for side in ("link", "motor"):
