@@ -249,7 +249,7 @@ def test_a_log_is_estimated_as_its_arrays_are(design: Design) -> None:
     [
         (False, 1.0, 1.0, []),
         (True, 1.0, 1.0, [r"time\[3\] is earlier than .* 0.5 s: .*; sort them by time", "too old"]),
-        (False, 1e3, 1.0, ["at 0.2 Hz, the design is for 200 Hz: .*, or is the time in", ""]),
+        (False, 1e3, 1.0, ["at 0.2 Hz, the design is for 200 Hz: .*, or is the time in"]),
         (False, 1.0, 57.3, ["innovations are .* times as large"]),
         (False, 1.0, 1e300, [r"100 % of the measurements were rejected \(most: gated\): .* rad"]),
     ],
@@ -257,8 +257,11 @@ def test_a_log_is_estimated_as_its_arrays_are(design: Design) -> None:
 def test_measurements_of_another_kind_cause_a_warning(
     design: Design, shuffled: bool, time_unit: float, angle_unit: float, texts: list[str]
 ) -> None:
-    run = ts.simulate(design, duration=8.0, seed=1, disturbance="bias_step")
-    order = np.random.default_rng(0).permutation(1601) if shuffled else np.arange(1601)
+    # Milliseconds read as seconds make each step a gap of seconds, which takes long to predict.
+    duration = 8.0 if time_unit == 1.0 else 2.0
+    run = ts.simulate(design, duration=duration, seed=1, disturbance="bias_step")
+    count = len(run.time)
+    order = np.random.default_rng(0).permutation(count) if shuffled else np.arange(count)
     time, angle = run.time[order] * time_unit, run.angle[order] * angle_unit
 
     with warnings.catch_warnings(record=True) as caught:

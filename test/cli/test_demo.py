@@ -182,6 +182,7 @@ def test_signals_end_the_nodes_and_close_the_bag(demo: Demo, tmp_path: Path) -> 
     assert BagReader(output / "bag").message_count > 100
 
 
+@pytest.mark.slow
 def test_the_nodes_end_with_a_demo_that_is_killed(ros: Any, demo: Demo, tmp_path: Path) -> None:
     process = demo("--duration", "300", "--output", str(tmp_path / "demo"))
     process.wait_for_line(r"[1-9]\d*\.\d/300\.0 s", TIMEOUT)

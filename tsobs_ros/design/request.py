@@ -449,7 +449,7 @@ class ArmRequest(Request):
             require_delay(f"outputs[{place}].delay", output.delay, self.period)
         if self.certify_uncertainty and not self.uncertainty_model.count:
             raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
-        _ = self.covered.linear_places  # raises if there are too many
+        self.flow.linear_places(self.covered)  # raises if there are too many
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:

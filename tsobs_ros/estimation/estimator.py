@@ -33,12 +33,14 @@ TORQUE_RATE = 1.0
 
 LEARNING = {
     "random_walk": 1e-6,  # growth of each θ's variance, which keeps the gain alive [1/s]
-    "significance": 9.0,  # (3σ)²: θ is used from 3σ on, so that a nominal arm stays nominal
     "pass_time": 4.0,  # length of a pass [s]; the next one learns along better regressors
     "memory": 10.0,  # time constant of the measure of excitation [s]
     "excitation": 400.0,  # smallest eigenvalue of that measure from which θ counts as valid
 }
 """Settings of the learning, by fields of a model record."""
+
+_THREE_SIGMA = 2.782
+"""Quantile of a normal number that is exceeded as seldom as 3σ by its size."""
 
 _FIRST_PASS = 1.0
 """Length of the first pass [s]: while the estimate settles, the regressors are at their worst."""
@@ -192,7 +194,11 @@ class Estimator:
         one["limits"], one["covered"] = uncertainty.limits, covered
         std = uncertainty.limits / math.sqrt(3.0) if initial_std is None else initial_std
         one["theta_deviation"] = std
-        for name, value in (LEARNING | options).items():
+        # θ is used from 3σ on, so that a nominal arm stays nominal: from the quantile of χ² that k
+        # parameters exceed as seldom as one exceeds 3σ (Wilson and Hilferty, within 1.5 %).
+        width = 2.0 / (9.0 * uncertainty.count)
+        significance = uncertainty.count * (1.0 - width + _THREE_SIGMA * math.sqrt(width)) ** 3
+        for name, value in ({"significance": significance} | LEARNING | options).items():
             one[name] = value
         first = one["initial"]["hypotheses"][0]
         first["gamma"] = np.diag(one["theta_deviation"] ** 2)

@@ -157,6 +157,14 @@ class ArmFlow(Flow):
         noise = second @ self.nominal.noise @ second.T
         return second @ self.nominal.phi @ first, (noise + noise.T) / 2
 
+    def linear_places(self, uncertainty: Uncertainty) -> list[int]:
+        """Return the places of the parameters that act on the state linearly: not gravity's alone.
+
+        The torque's gain does if the state has a part of the torque at the motor.
+        """
+        torques = zip((TORQUE, EXTERNAL), self.torques, strict=True)
+        return uncertainty.linear_places([column for column, each in torques if each.any()])
+
     def corners(
         self,
         slopes: tuple[Any, Any],
@@ -179,7 +187,7 @@ class ArmFlow(Flow):
             half_step: T/2 [s].
             number: Converts an array of floats to an array of the numbers in use.
         """
-        places = uncertainty.linear_places
+        places = self.linear_places(uncertainty)
         changes = number(uncertainty.directions[places, 0])
         bounds = [share * bound for bound in number(uncertainty.limits)]
         # A direction that scales gravity adds θ c to the slope; gravity does not act on the motor.

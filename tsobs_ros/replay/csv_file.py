@@ -102,7 +102,7 @@ class CsvFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self.cut_off = path, False
+        self._path, self.cut_off, self._is_open = path, False, False
         first = next((line for line in self._lines() if line.strip()), "")
         self._delimiter = max(",;\t", key=first.count)
         _, titles = next(self._rows(), (0, []))
@@ -154,9 +154,17 @@ class CsvFile:
                 break
             if any(cells[len(self.columns) :]):
                 raise LogError(f"line {line}: {len(cells)} cells, but {len(self.columns)} titles")
+            try:
+                stamp = self._stamp(line, cells, time)
+                numbers = [self._number(line, cells, one) for one in columns]
+            except LogError:
+                self.cut_off = self._is_open
+                if not self.cut_off:
+                    raise
+                break
             lines.append(line)
-            stamps.append(self._stamp(line, cells, time))
-            values.extend(self._number(line, cells, one) for one in columns)
+            stamps.append(stamp)
+            values.extend(numbers)
         factors = np.array([one.factor for one in columns])
         table = np.array(values).reshape(-1, len(columns)) * factors
         return lines, np.array(stamps, np.int64), table
@@ -182,6 +190,7 @@ class CsvFile:
             for number, line in enumerate(lines, 1):
                 if len(line) > MAX_LINE:
                     raise LogError(f"line {number} is longer than {MAX_LINE:,} characters")
+                self._is_open = not line.endswith(("\n", "\r"))
                 yield "" if line.lstrip().startswith("#") else line
 
     def _number(self, line: int, cells: Sequence[str], column: Column) -> float:

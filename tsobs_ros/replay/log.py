@@ -88,7 +88,7 @@ class LogSource(BagSource):
         held_out: str | None = None,
     ) -> None:
         self.path, self.topic, self.guessed = path, f"/{MEASUREMENTS}", not joints
-        self.held_out, self.both_sides = held_out, held_out is not None
+        self.held_out = held_out
         self._assume_zero_torque = assume_zero_torque
         self._given, self._units = dict(columns or {}), dict(units or {})
         with naming_file(path):
@@ -100,6 +100,8 @@ class LogSource(BagSource):
         found = found or [joint for name, _, joint in titles if joint and name.lower() in measured]
         motors = {f"{joint}_motor" for joint in found}
         named = tuple(joint for joint in dict.fromkeys(found) if joint not in motors)
+        self._has_motors = len(named) < len({*found})
+        self.both_sides = self._has_motors or held_out is not None
         self.joints = tuple(joints) or named or (_ONLY,)
         self._is_only = len(self.joints) == 1 and len(named) <= 1
 
@@ -159,7 +161,10 @@ class LogSource(BagSource):
         own, request, name = self.signals[joint], self.requests[joint], self.joints[joint]
         if isinstance(request, ArmRequest):
             # With a held-out sensor, the entry of the only encoder may have the name of its side.
-            entries = [place.name for place in request.signals(name, self.alone).outputs]
+            entries = [
+                place.name
+                for place in request.signals(name, self.alone, self._has_motors).outputs
+            ]
             outputs = zip(request.output_names, own.outputs, entries, strict=True)
             torques = [("torque", one, one.name) for one in (*own.inputs, *own.other_inputs)]
             side, _, kind = sensor.partition("_")

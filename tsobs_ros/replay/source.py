@@ -156,10 +156,10 @@ class BagSource:
         self._alone = only and not any(
             name.startswith(f"{joint}/") for joint in self.joints for name in first
         )
-        # Without a place, the held-out sensor is the other one of a joint's two encoders.
-        self.both_sides = held_out in QUANTITIES and any(
-            topics.sides(one)[1] in first for one in self.joints
-        )
+        # A motor with its own entry is not the link, whichever of both the design measures, and
+        # a held-out sensor without a place is the other one. A recorded observer chose itself.
+        has_motors = any(topics.sides(one)[1] in first for one in self.joints)
+        self.both_sides = has_motors and (not ran or held_out in QUANTITIES)
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
         self._assume_zero_torque = assume_zero_torque
@@ -208,6 +208,11 @@ class BagSource:
         if self.held_out and problem:
             raise ModelError(f"held out: {problem}")
 
+    def require_joints(self) -> None:
+        """Refuse a bag without a joint's name in its first messages, or without messages."""
+        if not self.joints:
+            raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
+
     @property
     def count(self) -> int:
         """Number of messages with measurements."""
@@ -230,8 +235,9 @@ class BagSource:
 
         Raises:
             DesignFileError: A file is no design, or not the one that the observer ran.
-            BagReadError: The design in the bag is not valid.
+            BagReadError: The design in the bag is not valid, or no message names a joint.
         """
+        self.require_joints()
         own = dict(argument.split("=", 1) for argument in given if "=" in argument)
         shared = [argument for argument in given if "=" not in argument]
         for joint in own.keys() - set(self.joints):
@@ -343,8 +349,6 @@ class BagSource:
 
     def _read(self) -> None:
         joints = dict(zip(self.joints, self.signals, strict=True))
-        if not joints:
-            raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
         read, without_input, mixed = MeasurementReader(joints, self._assume_zero_torque), 0, 0
         n, p = len(joints), max(len(own.outputs) for own in self.signals)
         m = max(len(own.inputs) for own in self.signals)
