@@ -136,23 +136,24 @@ setup(
     # Never rclpy: a sourced ROS provides it without pip's knowledge, and wheels would outrank it.
     install_requires=[
         "numpy>=1.26",
-        "pyyaml",
-        "msgspec>=0.18.5",  # the first with wheels for Python 3.12
+        "pyyaml>=6.0",
+        "msgspec>=0.21",  # the first whose errors are ValueErrors
         "mcap>=1.5",
-        "zstandard",
-        "lz4",
+        "zstandard>=0.22",
+        "lz4>=4.3",
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "design": [
-            "cvxpy-base",
-            "clarabel",
-            "scipy",
+            "cvxpy-base>=1.5",
+            "clarabel>=0.9",
+            "scipy>=1.11",
         ],  # cvxpy adds 150 MB of solvers that are not used
-        "report": ["matplotlib", "plotly", "tqdm", "mcap-ros2-support"],
-        "export": ["mcap-ros2-support", "pyarrow"],
-        "campaign": ["pyarrow", "tqdm"],
-        "watch": ["rich"],
+        # Plotly 6 is the first whose pages read arrays as bytes.
+        "report": ["matplotlib>=3.8", "plotly>=6", "tqdm>=4.66", "mcap-ros2-support>=0.5.5"],
+        "export": ["mcap-ros2-support>=0.5.5", "pyarrow>=14"],
+        "campaign": ["pyarrow>=14", "tqdm>=4.66"],
+        "watch": ["rich>=13"],
         "docs": ["furo", "latex2mathml", "myst-parser", "sphinx"],
         "test": [
             "bayesian-filters",

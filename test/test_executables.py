@@ -68,9 +68,9 @@ def test_streams_that_are_full_or_closed_are_errors_and_others_take_any_text(nam
 @pytest.mark.parametrize(
     ("call", "library", "advice"),
     [
-        ("run('recorder')", "mcap", "-m pip install pyyaml"),
+        ("run('recorder')", "mcap", "pyyaml>=6.0"),
         ("run('recorder')", "rclpy", "source ROS 2 Jazzy, or "),
-        ("tsobs()", "numpy", "-m pip install 'numpy>=1.26' pyyaml"),
+        ("tsobs()", "numpy", "'numpy>=1.26' 'pyyaml>=6.0'"),
     ],
 )
 def test_a_process_without_a_library_ends_with_the_command_that_installs_it(

@@ -12,17 +12,18 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-_BASE = ("pyyaml", "msgspec>=0.18.5", "mcap>=1.5", "zstandard", "lz4")
-_DESIGN = ("cvxpy-base", "clarabel", "scipy")
-_REPORT = ("matplotlib", "plotly", "tqdm", "mcap-ros2-support")
+_BASE = ("pyyaml>=6.0", "msgspec>=0.21", "mcap>=1.5", "zstandard>=0.22", "lz4>=4.3")
+_DESIGN = ("cvxpy-base>=1.5", "clarabel>=0.9", "scipy>=1.11")
+_DECODER = "mcap-ros2-support>=0.5.5"
+_REPORT = ("matplotlib>=3.8", "plotly>=6", "tqdm>=4.66", _DECODER)
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "rclpy": ("ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"),
     "numpy": ("numpy>=1.26", *_BASE),
     **dict.fromkeys(("yaml", "msgspec", "mcap", "zstandard", "lz4"), _BASE),
     **dict.fromkeys(("cvxpy", "clarabel", "scipy"), _DESIGN),
     **dict.fromkeys(("matplotlib", "plotly", "tqdm", "mcap_ros2"), _REPORT),
-    "pyarrow": ("pyarrow", "mcap-ros2-support"),
-    "rich": ("rich",),
+    "pyarrow": ("pyarrow>=14", _DECODER),
+    "rich": ("rich>=13",),
 }
 """Modules that may be missing, each with the packages to install."""
 CORE = "tsobs_ros.core.native"

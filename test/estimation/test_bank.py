@@ -434,6 +434,21 @@ def test_the_gain_of_the_drive_is_learnt_if_the_design_asks_for_it() -> None:
     assert compared(request, run)[[0, 2]].max() < 0.5
 
 
+def test_learning_several_parameters_costs_an_arm_as_designed_nothing() -> None:
+    """Together they exceed by chance what one does seldom."""
+    names = ("stiffness", "gravity", "link_inverse_inertia", "motor_inverse_inertia")
+    request = ArmRequest(
+        outputs=(Output("motor_angle", 0.001),), uncertainty=dict.fromkeys(names, 0.3)
+    )
+    design = synthesise(request)
+    for seed in (0, 1):
+        run = ts.simulate(
+            design, duration=30.0, seed=seed, torque=lambda t: 3 * np.sin(t) + 2 * np.sin(2.7 * t)
+        )
+        got = ts.estimate(design, run.time, run.angle, run.torque)
+        assert np.abs(got.parameters[-1]).max() == 0.0
+
+
 def test_slow_innovations_tell_no_more_at_a_high_rate() -> None:
     """Their price per second is limited: else a stiff joint as designed seems to be pushed."""
     arm = ElasticJointArm(0.5, 0.4, 49300.0, 5.0, motor_damping=2.0)

@@ -13,12 +13,15 @@ import pytest
 import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.cdr import encode_text
+from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.cli.main import main
 from tsobs_ros.design.file import checksum, identity, load_design, record_text, save_design
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import ArmRequest, Output
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.replay.source import BagSource
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.settings import values_of
 
@@ -212,6 +215,22 @@ def test_what_anybody_wrote_into_a_record_is_refused_in_one_line(
     assert why in line
     assert line.isprintable()
     assert len(line) < 1000
+
+
+def test_a_motor_has_its_own_entry_whichever_side_the_design_measures(write_bag) -> None:
+    encode = JointStateEncoder(("elbow", "elbow_motor"))
+    bag = write_bag([("/joint_measurements", encode(START, [2.0, 3.0], (), [4.0, 5.0]), START)])
+    for side, angle in (("link", 2.0), ("motor", 3.0)):
+        source = BagSource(bag)
+        assert source.joints == ("elbow",)
+        source.observe([ArmRequest(outputs=(Output(f"{side}_angle", 0.001),))])
+        assert (source.samples.y.item(), source.samples.u.item()) == (angle, 4.0)
+
+
+def test_a_bag_that_names_no_joint_is_refused(write_bag, capsys) -> None:
+    bag = write_bag([("/joint_measurements", JointStateEncoder(())(START, (), (), ()), START)])
+    assert estimate(bag) == 1
+    assert "no message of /joint_measurements names a joint" in capsys.readouterr().err
 
 
 def test_only_the_joints_that_designs_name_are_estimated(arms, write_bag, capsys) -> None:

@@ -14,6 +14,7 @@ import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder
 from tsobs_ros.cli.main import main
+from tsobs_ros.design.request import ArmRequest, Output
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.replay.csv_file import MAX_LINE
@@ -88,11 +89,24 @@ def test_times_that_begin_at_zero_are_moved(tmp_path) -> None:
     assert np.isnan(source.samples.y[1, 0, 0])
 
 
-def test_a_last_line_that_is_cut_off_is_left_out(tmp_path) -> None:
-    source = opened(log(tmp_path, "t,q [rad],tau", "1,2,3", "1.005,2"))
+@pytest.mark.parametrize("end", ["1.005,2\n", "1.005,2,1.5e-", "1.005,-"])
+def test_a_last_line_that_is_cut_off_is_left_out(tmp_path, end: str) -> None:
+    path = log(tmp_path, "t,q [rad],tau", "1,2,3")
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write(end)
+    source = opened(path)
 
     assert source.count == 1
     assert source.remarks == ("note: the last line is cut off, and left out",)
+
+
+def test_a_motor_has_its_own_column_whichever_side_the_design_measures(tmp_path) -> None:
+    path = log(tmp_path, "t,position.a,position.a_motor,effort.a", "1,2,3,4")
+    for side, angle in (("link", 2.0), ("motor", 3.0)):
+        source = LogSource(path)
+        assert source.joints == ("a",)
+        source.observe([ArmRequest(outputs=(Output(f"{side}_angle", 0.001),))])
+        assert source.samples.y.item() == angle
 
 
 def test_several_joints_have_columns_of_their_own(tmp_path) -> None:

@@ -39,8 +39,8 @@ LEARNING = {
 }
 """Settings of the learning, by fields of a model record."""
 
-_THREE_SIGMA = 2.782
-"""Quantile of a normal number that is exceeded as seldom as 3σ by its size."""
+_SELDOM = 2.5758
+"""The quantile that a standard normal number exceeds once in 200 times."""
 
 _FIRST_PASS = 1.0
 """Length of the first pass [s]: while the estimate settles, the regressors are at their worst."""
@@ -194,10 +194,10 @@ class Estimator:
         one["limits"], one["covered"] = uncertainty.limits, covered
         std = uncertainty.limits / math.sqrt(3.0) if initial_std is None else initial_std
         one["theta_deviation"] = std
-        # θ is used from 3σ on, so that a nominal arm stays nominal: from the quantile of χ² that k
-        # parameters exceed as seldom as one exceeds 3σ (Wilson and Hilferty, within 1.5 %).
+        # A change of θ is used once noise makes one so large in one of 200 times, so that a nominal
+        # arm stays nominal: the quantile of χ² (Wilson and Hilferty, within 1.5 %).
         width = 2.0 / (9.0 * uncertainty.count)
-        significance = uncertainty.count * (1.0 - width + _THREE_SIGMA * math.sqrt(width)) ** 3
+        significance = uncertainty.count * (1.0 - width + _SELDOM * math.sqrt(width)) ** 3
         for name, value in ({"significance": significance} | LEARNING | options).items():
             one[name] = value
         first = one["initial"]["hypotheses"][0]

@@ -52,7 +52,9 @@ ARM_DIRECTIONS = (
     "torque_gain",
 )
 """The arm's uncertain parameters: relative changes of k, of mgl, of 1/J₁, of 1/J₂ and of the torque
-at the motor, and added damping [N m s/rad]."""
+at the motor, and added damping [N m s/rad].
+
+Each changes the accelerations by itself, and all of these changes add up."""
 
 
 @dataclass(frozen=True)
