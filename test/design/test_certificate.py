@@ -111,8 +111,7 @@ def test_the_gain_of_the_torque_is_covered_on_an_unknown_torque_too() -> None:
     after = left @ X @ left.T + K @ np.diag(np.square(request.output_std)) @ K.T
     for gain, factor in ((most, 1.0), (-most, 1.0), (3.0 * most, 1.1)):
         kicks = [
-            corner.matrix
-            + 0.5 * request.period * gain * np.outer(push, flow.torques[0])
+            corner.matrix + 0.5 * request.period * gain * np.outer(push, flow.torques[0])
             for corner in as_designed.corners()
         ]
         largest = 0.0

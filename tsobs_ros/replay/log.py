@@ -162,8 +162,7 @@ class LogSource(BagSource):
         if isinstance(request, ArmRequest):
             # With a held-out sensor, the entry of the only encoder may have the name of its side.
             entries = [
-                place.name
-                for place in request.signals(name, self.alone, self._has_motors).outputs
+                place.name for place in request.signals(name, self.alone, self._has_motors).outputs
             ]
             outputs = zip(request.output_names, own.outputs, entries, strict=True)
             torques = [("torque", one, one.name) for one in (*own.inputs, *own.other_inputs)]
