@@ -194,10 +194,11 @@ class Estimator:
         one["limits"], one["covered"] = uncertainty.limits, covered
         std = uncertainty.limits / math.sqrt(3.0) if initial_std is None else initial_std
         one["theta_deviation"] = std
-        # A change of θ is used once noise makes one so large in one of 200 times, so that a nominal
-        # arm stays nominal: the quantile of χ² (Wilson and Hilferty, within 1.5 %).
+        # A change of θ is used from 3σ on, and if noise makes one so large in at most one of 200
+        # times, so that a nominal arm stays nominal: a quantile of χ² (Wilson and Hilferty).
         width = 2.0 / (9.0 * uncertainty.count)
-        significance = uncertainty.count * (1.0 - width + _SELDOM * math.sqrt(width)) ** 3
+        quantile = uncertainty.count * (1.0 - width + _SELDOM * math.sqrt(width)) ** 3
+        significance = max(9.0, quantile)
         for name, value in ({"significance": significance} | LEARNING | options).items():
             one[name] = value
         first = one["initial"]["hypotheses"][0]
