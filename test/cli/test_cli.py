@@ -154,4 +154,4 @@ def test_a_missing_library_is_one_line_with_the_command_that_installs_it(
     assert main(["design", "--output", "x.yaml"]) == 1
     err = capsys.readouterr().err
     assert err.startswith(f"error: cvxpy is not installed: {sys.executable} -m pip install ")
-    assert "cvxpy-base clarabel scipy" in err
+    assert "'cvxpy-base>=1.5' 'clarabel>=0.9' 'scipy>=1.11'" in err
