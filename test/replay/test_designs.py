@@ -19,6 +19,7 @@ from tsobs_ros.design.file import checksum, identity, load_design, record_text, 
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, Output
 from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.errors import BagReadError
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.replay.source import BagSource
@@ -227,10 +228,21 @@ def test_a_motor_has_its_own_entry_whichever_side_the_design_measures(write_bag)
         assert (source.samples.y.item(), source.samples.u.item()) == (angle, 4.0)
 
 
-def test_a_bag_that_names_no_joint_is_refused(write_bag, capsys) -> None:
+def test_each_joint_has_a_motor_of_its_own_or_none(write_bag) -> None:
+    encode = JointStateEncoder(("elbow", "elbow_motor", "wrist"))
+    data = encode(START, [2.0, 3.0, 6.0], (), [4.0, 5.0, 7.0])
+    source = BagSource(write_bag([("/joint_measurements", data, START)]))
+    source.observe([ArmRequest(outputs=(Output("motor_angle", 0.001),))] * 2)
+    assert source.joints == ("elbow", "wrist")
+    assert source.samples.y.ravel().tolist() == [3.0, 6.0]
+
+
+def test_a_bag_that_names_no_joint_is_refused(design: Design, write_bag, capsys) -> None:
     bag = write_bag([("/joint_measurements", JointStateEncoder(())(START, (), (), ()), START)])
     assert estimate(bag) == 1
     assert "no message of /joint_measurements names a joint" in capsys.readouterr().err
+    with pytest.raises(BagReadError, match="names a joint"):
+        ts.estimate_bag(bag, design)
 
 
 def test_only_the_joints_that_designs_name_are_estimated(arms, write_bag, capsys) -> None:

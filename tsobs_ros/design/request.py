@@ -447,9 +447,10 @@ class ArmRequest(Request):
         require_delay("torque.delay", self.torque.delay, self.period)
         for place, output in enumerate(sensors):
             require_delay(f"outputs[{place}].delay", output.delay, self.period)
-        if self.certify_uncertainty and not self.uncertainty_model.count:
-            raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
-        self.flow.linear_places(self.covered)  # raises if there are too many
+        if self.certify_uncertainty:
+            if not self.uncertainty_model.count:
+                raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
+            self.flow.linear_places(self.covered)  # raises if there are too many
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:

@@ -188,7 +188,7 @@ class Estimator:
                 that depends on θ is called certified.
             initial_std: 1σ of each θ before any measurement; if None, the 1σ of a uniform draw
                 from its range. It caps the gain ever after.
-            **options: Values that replace some of `LEARNING`.
+            **options: Values that replace the significance, or some of `LEARNING`.
         """
         one = self.model[0]
         one["limits"], one["covered"] = uncertainty.limits, covered
@@ -198,8 +198,7 @@ class Estimator:
         # times, so that a nominal arm stays nominal: a quantile of χ² (Wilson and Hilferty).
         width = 2.0 / (9.0 * uncertainty.count)
         quantile = uncertainty.count * (1.0 - width + _SELDOM * math.sqrt(width)) ** 3
-        significance = max(9.0, quantile)
-        for name, value in ({"significance": significance} | LEARNING | options).items():
+        for name, value in ({"significance": max(9.0, quantile)} | LEARNING | options).items():
             one[name] = value
         first = one["initial"]["hypotheses"][0]
         first["gamma"] = np.diag(one["theta_deviation"] ** 2)

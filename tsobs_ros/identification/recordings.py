@@ -134,7 +134,6 @@ def _samples(
             )
         return "the arrays", times, y, u
     source = open_source(log, **options)
-    source.require_joints()
     if len(source.joints) != 1:
         raise LogError(f"{log}: joints {', '.join(source.joints)}: name one of them with --joint")
     source.observe([request])

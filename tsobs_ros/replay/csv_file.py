@@ -102,7 +102,7 @@ class CsvFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self.cut_off, self._is_open = path, False, False
+        self._path, self.cut_off, self._is_unended = path, False, False
         first = next((line for line in self._lines() if line.strip()), "")
         self._delimiter = max(",;\t", key=first.count)
         _, titles = next(self._rows(), (0, []))
@@ -158,7 +158,7 @@ class CsvFile:
                 stamp = self._stamp(line, cells, time)
                 numbers = [self._number(line, cells, one) for one in columns]
             except LogError:
-                self.cut_off = self._is_open
+                self.cut_off = self._is_unended
                 if not self.cut_off:
                     raise
                 break
@@ -190,7 +190,7 @@ class CsvFile:
             for number, line in enumerate(lines, 1):
                 if len(line) > MAX_LINE:
                     raise LogError(f"line {number} is longer than {MAX_LINE:,} characters")
-                self._is_open = not line.endswith(("\n", "\r"))
+                self._is_unended = not line.endswith(("\n", "\r"))
                 yield "" if line.lstrip().startswith("#") else line
 
     def _number(self, line: int, cells: Sequence[str], column: Column) -> float:

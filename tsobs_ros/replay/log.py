@@ -100,9 +100,9 @@ class LogSource(BagSource):
         found = found or [joint for name, _, joint in titles if joint and name.lower() in measured]
         motors = {f"{joint}_motor" for joint in found}
         named = tuple(joint for joint in dict.fromkeys(found) if joint not in motors)
-        self._has_motors = len(named) < len({*found})
-        self.both_sides = self._has_motors or held_out is not None
         self.joints = tuple(joints) or named or (_ONLY,)
+        self._motor_titles = {joint for joint in found if f"{joint}_motor" in found}
+        self.with_motors = {*self.joints} if held_out is not None else self._motor_titles
         self._is_only = len(self.joints) == 1 and len(named) <= 1
 
     def _read(self) -> None:
@@ -161,9 +161,8 @@ class LogSource(BagSource):
         own, request, name = self.signals[joint], self.requests[joint], self.joints[joint]
         if isinstance(request, ArmRequest):
             # With a held-out sensor, the entry of the only encoder may have the name of its side.
-            entries = [
-                place.name for place in request.signals(name, self.alone, self._has_motors).outputs
-            ]
+            titled = request.signals(name, self.alone, name in self._motor_titles)
+            entries = [place.name for place in titled.outputs]
             outputs = zip(request.output_names, own.outputs, entries, strict=True)
             torques = [("torque", one, one.name) for one in (*own.inputs, *own.other_inputs)]
             side, _, kind = sensor.partition("_")

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded measurements of some joints, in the order of recording, and the bags that hold them."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, Set
 from functools import cache
 from itertools import islice, pairwise
 from pathlib import Path
@@ -101,11 +101,12 @@ class BagSource:
         remarks: Notes for the user.
         guessed: Whether the joints are those of the first messages, as nothing else names them.
         requests: The requests of the designs, after `observe`.
-        both_sides: Whether arms have encoders on both sides, although a design may use one only.
+        with_motors: Joints whose motor has its own entry, although a design may use one side only.
         held_out_columns: Title of the held-out sensor's column of each joint, in a log.
 
     Raises:
-        BagReadError: There is no bag, no such topic, or several topics fit.
+        BagReadError: There is no bag, no such topic, several topics fit, or no message names a
+            joint.
     """
 
     reader: BagReader
@@ -120,7 +121,7 @@ class BagSource:
     damage: BagReadError | None = None
     remarks: tuple[str, ...] = ()
     requests: tuple[AnyRequest, ...] = ()
-    both_sides = False
+    with_motors: Set[str] = frozenset()
     held_out: str | None = None
     held_out_columns: tuple[str, ...] = ()
     _alone = True
@@ -153,13 +154,16 @@ class BagSource:
         self.guessed = not joints and not ran
         motors = {f"{name}_motor" for name in first}
         self.joints = tuple(joints) or ran or tuple(one for one in first if one not in motors)
+        if not self.joints:
+            raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
         self._alone = only and not any(
             name.startswith(f"{joint}/") for joint in self.joints for name in first
         )
         # A motor with its own entry is not the link, whichever of both the design measures, and
         # a held-out sensor without a place is the other one. A recorded observer chose itself.
-        has_motors = any(topics.sides(one)[1] in first for one in self.joints)
-        self.both_sides = has_motors and (not ran or held_out in QUANTITIES)
+        if not ran or held_out in QUANTITIES:
+            named = {*self.joints, *first}
+            self.with_motors = {one for one in named if topics.sides(one)[1] in first}
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
         self._assume_zero_torque = assume_zero_torque
@@ -208,11 +212,6 @@ class BagSource:
         if self.held_out and problem:
             raise ModelError(f"held out: {problem}")
 
-    def require_joints(self) -> None:
-        """Refuse a bag without a joint's name in its first messages, or without messages."""
-        if not self.joints:
-            raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
-
     @property
     def count(self) -> int:
         """Number of messages with measurements."""
@@ -235,9 +234,8 @@ class BagSource:
 
         Raises:
             DesignFileError: A file is no design, or not the one that the observer ran.
-            BagReadError: The design in the bag is not valid, or no message names a joint.
+            BagReadError: The design in the bag is not valid.
         """
-        self.require_joints()
         own = dict(argument.split("=", 1) for argument in given if "=" in argument)
         shared = [argument for argument in given if "=" not in argument]
         for joint in own.keys() - set(self.joints):
@@ -307,7 +305,8 @@ class BagSource:
     def signals_of(self, requests: Sequence[AnyRequest]) -> tuple[Signals, ...]:
         """Return the places of the joints' signals if they have these designs."""
         each = zip(requests, self.joints, strict=True)
-        return tuple(one.signals(joint, self.alone, self.both_sides) for one, joint in each)
+        motors = self.with_motors
+        return tuple(one.signals(joint, self.alone, joint in motors) for one, joint in each)
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
@@ -401,7 +400,9 @@ class BagSource:
             has = ", ".join([*seen, *others[:_MAX_OTHERS]]) or "none"
             text = f"{self.path}: {text}, which the design measures; it has: {has}"
             for name in names:
-                own = self.requests[0].signals(name, alone=False, both_sides=self.both_sides)
+                own = self.requests[0].signals(
+                    name, alone=False, both_sides=name in self.with_motors
+                )
                 if {place.name for place in own.outputs} <= {*names}:
                     raise BagReadError(f"{text}; all of it for --joints {name}")
             raise BagReadError(text)

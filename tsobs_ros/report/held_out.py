@@ -45,7 +45,7 @@ def read_held_out(source: BagSource, std: float | None = None) -> "list[HeldOutS
         names = [entry or topics.sides(joint)[side == "motor"]]
         # In measurements, the joint's name stands for the side that the observer assumes.
         outputs = source.requests[number].output_names
-        link = source.both_sides or any("link" in output for output in outputs)
+        link = joint in source.with_motors or any("link" in output for output in outputs)
         if not entry and (topic != source.topic or link == (side == "link")):
             names.insert(0, joint)
         groups = [[(each, field)] for each in names]
