@@ -122,7 +122,7 @@ class _LibraryAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
         step, n = self.flow.nominal, self.flow.state_count
         half, theta = 0.5 * step.duration, x[n:]
         gravity = half * self.flow.gravity_gain
-        push = (self.effects @ [*x[:4], np.sin(x[LINK_ANGLE]), torque, 0.0]).T
+        push = (self.effects @ [*x[:4], np.sin(x[LINK_ANGLE]), torque, 0.0, torque]).T
         change = np.tensordot(theta, self.effects, 1)
         jacobian = self._identity.copy()
         jacobian[_ROWS, :4] += half * change[:, :4]

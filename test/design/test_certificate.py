@@ -94,34 +94,6 @@ def test_designs_of_every_sort_are_proved_exactly_with_their_margins(name: str) 
     assert all(text in design.text() for text in ("the certificate holds", design.request.headline))
 
 
-def test_the_gain_of_the_torque_is_covered_on_an_unknown_torque_too() -> None:
-    most = 0.5
-    request = ArmRequest(
-        outputs=(Output("link_angle", 0.001), Output("motor_angle", 0.001)),
-        torque_disturbance=TorqueDisturbance(motor=(CONTACT,)),
-        uncertainty={"torque_gain": most},
-        certify_uncertainty=True,
-    )
-    design, flow = synthesise(request), request.flow
-    as_designed = replace(request, uncertainty={}, certify_uncertainty=False)
-    X, K = design.covariance_bound, design.K
-    push = np.zeros(len(X))
-    push[:4] = request.arm.input_matrix[:, 0]
-    left = np.eye(len(X)) - K @ flow.output_matrix
-    after = left @ X @ left.T + K @ np.diag(np.square(request.output_std)) @ K.T
-    for gain, is_covered in ((most, True), (-most, True), (3.0 * most, False)):
-        kicks = [
-            corner.matrix + 0.5 * request.period * gain * np.outer(push, flow.torques[0])
-            for corner in as_designed.corners()
-        ]
-        largest = 0.0
-        for first, second in product(kicks, repeat=2):
-            transition, noise = flow.error_map(first, second)
-            ratio = np.linalg.solve(X, transition @ after @ transition.T + noise)
-            largest = max(largest, np.linalg.eigvals(ratio).real.max())
-        assert (largest <= 1.0) == is_covered
-
-
 def test_a_late_sample_widens_the_bound_by_no_more_than_its_factor(uncertain: Design) -> None:
     X, root = uncertain.covariance_bound, np.linalg.cholesky(uncertain.P)
     assert 1.0 < uncertain.late_factor < 1.1

@@ -21,7 +21,7 @@ from tsobs_ros.estimation.records import USED, Basis, Hypothesis, Measurement, R
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
@@ -424,13 +424,19 @@ def test_friction_of_the_link_is_not_taken_for_friction_of_the_motor() -> None:
     assert compared(request, run)[[0, 2]].max() < 1.4
 
 
-def test_the_gain_of_the_drive_is_learnt_if_the_design_asks_for_it() -> None:
-    request = ArmRequest(uncertainty={"stiffness": 0.4, "gravity": 0.4, "torque_gain": 0.1})
+@pytest.mark.parametrize("offset", [0.0, 4.0])
+def test_the_gain_of_the_drive_is_learnt_if_the_design_asks_for_it(offset: float) -> None:
+    """It scales commands, not the drive's offset."""
+    request = ArmRequest(
+        uncertainty={"stiffness": 0.4, "gravity": 0.4, "torque_gain": 0.1},
+        torque=TorquePath(offset=offset),
+    )
     run = ts.simulate(
         request, mismatch={"torque_gain": -0.09}, duration=60.0, torque=math.sin, seed=2
     )
     got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
     assert got.parameters[-1] == pytest.approx([0.0, 0.0, -0.09], abs=0.03)
+    assert (np.abs(got.state - run.state) <= 3.0 * got.state_bound)[got.claimed].all()
     assert compared(request, run)[[0, 2]].max() < 0.5
 
 

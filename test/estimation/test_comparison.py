@@ -53,7 +53,7 @@ def test_parameters_of_an_ekf_are_as_states() -> None:
     x, P = np.zeros(n + k), block_diag(request.initial_covariance, THETA_STD**2 * np.eye(k))
 
     def kicked(x: Array, torque: float) -> Array:
-        push = effects[:, rows] @ [*x[:4], np.sin(x[0]), torque, 0.0]
+        push = effects[:, rows] @ [*x[:4], np.sin(x[0]), torque, 0.0, torque]
         after = x.copy()
         after[rows] += 0.5 * step.duration * (x[n:] @ push)
         after[LINK_VELOCITY] -= 0.5 * step.duration * flow.gravity_gain * np.sin(x[0])

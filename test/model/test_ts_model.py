@@ -199,7 +199,7 @@ def test_uncertain_directions_fit_the_system_or_are_named() -> None:
     model, change = tangled(0.1).model, np.eye(3)[[1, 2, 0]]
     known = system_uncertainty(model, {"k": Direction(change, 0.2)})
     np.testing.assert_array_equal(known.linear, [[change] * 3])
-    assert (known.names, known.limits.tolist(), known.linear_places()) == (("k",), [0.2], [0])
+    assert (known.names, known.limits.tolist(), known.linear_places) == (("k",), [0.2], [0])
     for E, bound, message in (
         (change, 0.0, "uncertainty.k.bound: expected a finite number above 0"),
         (0.0 * change, 0.2, "uncertainty.k.E: expected a matrix other than zero"),

@@ -110,7 +110,7 @@ void copy_state(const model *m, const double *from, double *to)
 static double at_motor(const model *m, double command)
 {
     /* The subtraction keeps all bits if the offset is zero, even the sign of a zero torque. */
-    return *m->torque_gain * command - (0.0 - *m->torque_offset);
+    return *m->torque_gain * command - (0.0 - *m->design_flow.torque_offset);
 }
 
 double mean_torque(const model *m, const state *at, double ahead, double duration)

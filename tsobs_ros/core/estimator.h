@@ -291,8 +291,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(NUMBER, torque_limit, 1, 1)    /* largest plausible torque [N m], 0: any is plausible */    \
     F(NUMBER, torque_rate_limit, 1, 1) /* largest plausible rate of the torque [N m/s] */         \
     F(NUMBER, torque_spread, 1, 1)   /* 1 sigma of an entirely unknown torque [N m] */            \
-    F(NUMBER, torque_gain, 1, 1)     /* gain in: motor torque = gain u(t - delay) + offset */     \
-    F(NUMBER, torque_offset, 1, 1)   /* offset of the torque at the motor [N m] */                \
+    F(NUMBER, torque_gain, 1, 1)     /* gain in: motor torque = gain u(t - delay) + the flow's */ \
     F(NUMBER, torque_delay, 1, 1)    /* delay of the torque at the motor [s] */                   \
     F(VECTOR, force, 2, 1)           /* 1 sigma of FORCE: input [N m], arm's link [rad/s^2] */    \
     F(COUNT, explains_motor, 1, 1)   /* whether the design has one at the motor only */           \

@@ -76,10 +76,12 @@ static void kick_arm(
     int wanted, const flow_step *work, long n)
 {
     const long k = sizes_of(f)->k;
+    const double push = total[CAUSES + BY_TORQUE] + total[CAUSES + BY_COMMAND];
     double *rows = work->vectors, causes[CAUSES], cos;
     memcpy(causes, x, 4 * sizeof *x);
     sine_and_cosine(x[0], &causes[BY_SINE], &cos);
-    /* theta acts on the known torque and on the unknown one, of disturbance states, alike. */
+    causes[BY_COMMAND] = torque - *f->torque_offset;
+    /* Inertia acts on the known torque and on the unknown one, of disturbance states, alike. */
     causes[BY_TORQUE] = torque + dot(f->motor_torque + 4, x + 4, n - 4);
     causes[BY_EXTERNAL] = dot(f->link_torque + 4, x + 4, n - 4);
     x[1] += dot(total, causes, CAUSES);
@@ -98,12 +100,12 @@ static void kick_arm(
         rows[side * n] += by[BY_SINE] * cos;
     }
     for (long i = 0; i <= k; i++) { /* the last is the push */
-        const double *by = f->effects + 2 * i * CAUSES, *push = total + BY_TORQUE;
+        const double *by = f->effects + 2 * i * CAUSES;
         double *row = work->effects + i * n;
         const double link = is_first ? 0.0 : row[1] + dot(rows, row, n);
         const double motor = is_first ? 0.0 : row[3] + dot(rows + n, row, n);
-        row[1] = link + (i < k ? half * dot(by, causes, CAUSES) : push[0]);
-        row[3] = motor + (i < k ? half * dot(by + CAUSES, causes, CAUSES) : push[CAUSES]);
+        row[1] = link + (i < k ? half * dot(by, causes, CAUSES) : 0.0);
+        row[3] = motor + (i < k ? half * dot(by + CAUSES, causes, CAUSES) : push);
     }
 }
 

@@ -39,8 +39,9 @@ void rule_weights(
 enum { KIND_ARM, KIND_SYSTEM };
 
 /* Quantities that accelerate the link and the motor of an arm: its four states, the sine of the
- * link's angle, the motor's torque, and a torque at the link. */
-enum { BY_SINE = 4, BY_TORQUE, BY_EXTERNAL, CAUSES };
+ * link's angle, the motor's torque, a torque at the link, and the part of the motor's torque that
+ * commands make. */
+enum { BY_SINE = 4, BY_TORQUE, BY_EXTERNAL, BY_COMMAND, CAUSES };
 
 /* Sizes of a model: n augmented states, m signals (the `inputs`, then the scheduled ones), k
  * parameters, the plant's own states, rules, and premise variables. */
@@ -62,6 +63,7 @@ enum { FLOW_SIZES = sizeof(flow_sizes) / sizeof(int64_t) };
     FIELD(MATRIX, phi, s->n, s->n)   /* linear flow of a nominal step */             \
     FIELD(MATRIX, gamma, s->n, s->inputs)                                            \
     FIELD(MATRIX, noise, s->n, s->n)                                                 \
+    FIELD(NUMBER, torque_offset, 1, 1) /* first input without a command [N m] */     \
     FIELD(NUMBER, gravity_gain, 1, 1) /* of an arm */                                \
     FIELD(MATRIX, effects, s->k * 2, CAUSES) /* of theta = 1 on an arm's accelerations */ \
     FIELD(VECTOR, motor_torque, s->n, 1) /* states to an arm's unknown torques: at */\

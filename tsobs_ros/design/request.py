@@ -450,7 +450,7 @@ class ArmRequest(Request):
         if self.certify_uncertainty:
             if not self.uncertainty_model.count:
                 raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
-            self.flow.linear_places(self.covered)  # raises if there are too many
+            _ = self.covered.linear_places  # raises if there are too many
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:

@@ -184,8 +184,8 @@ def open_estimator(
     undisturbed = per_channel(p * [CLEAN[0].model])
     make = _WithGravity if rule_base is None else TSFlow
     flow = make(system, undisturbed, np.zeros(n), period)
-    flow.gravity_gain = gravity_gain
-    model = new_model(shape, period, flow.record(), torque=torque)
+    flow.gravity_gain, flow.torque_path = gravity_gain, torque
+    model = new_model(shape, flow)
     model["gain_mode"] = native.GAIN_OPEN
     for name, values in matrices.items():
         fill_matrix(model[0][name], values)

@@ -291,8 +291,7 @@ def riccati_estimator(
     initial = as_matrix("initial covariance", initial_covariance, (n, n))
     scale = flow.to_physical(np.ones(n))
     shape = Shape(n, len(scale), p, flow.input_count, k, len(flow.torque_map))
-    record, path = flow.record(uncertainty), flow.torque_path
-    model = new_model(shape, flow.period, record, auxiliary=auxiliary, torque=path)
+    model = new_model(shape, flow, uncertainty, auxiliary=auxiliary)
     one = model[0]
     one["gain_mode"] = native.GAIN_RICCATI
     one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period

@@ -8,7 +8,6 @@ integers, 0 or 1.
 """
 
 import math
-from dataclasses import asdict
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -18,8 +17,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.model.arm import DIRECT, TorquePath
-from tsobs_ros.model.prediction import Record
+from tsobs_ros.model.prediction import Flow, Record, Uncertainty
 
 
 class Shape(NamedTuple):
@@ -59,37 +57,31 @@ def types_of(sizes: tuple[int, ...]) -> dict[str, Any]:
 
 
 def new_model(
-    shape: Shape,
-    period: float,
-    flow: Record,
-    *,
-    auxiliary: bool = False,
-    torque: TorquePath = DIRECT,
+    shape: Shape, flow: Flow, uncertainty: Uncertainty | None = None, *, auxiliary: bool = False
 ) -> Record:
     """Return a model record, shape (1,), with sizes, flow and period; the rest is zero.
 
     Args:
         shape: Sizes of the estimator.
-        period: Nominal sampling period [s].
-        flow: The record of the prediction model.
+        flow: The prediction model.
+        uncertainty: Its uncertain parameters.
         auxiliary: Whether there are states for an unknown torque and for parts of the outputs, and
             hypotheses other than the design.
-        torque: How torques reach the motor of an arm.
     """
     n, plant, p, m, k, t = shape
+    torque, record = flow.torque_path, flow.record(uncertainty)
     # Torques on their way: one message per output and period, and a few more for jitter.
-    late = p * (math.ceil(torque.delay / period) + 1) + 1 if torque.delay else 0
-    scratch = record_type("flow_step", flow["sizes"][0])
+    late = p * (math.ceil(torque.delay / flow.period) + 1) + 1 if torque.delay else 0
+    scratch = record_type("flow_step", record["sizes"][0])
     sizes = (
         n, n + (1 + max(6, p) if auxiliary else 0), plant, p, m, k, t,
         native.HYPOTHESES if auxiliary else 1, late,
-        flow.dtype.itemsize // 8, scratch.itemsize // 8,
+        record.dtype.itemsize // 8, scratch.itemsize // 8,
     )  # fmt: skip
     model = np.zeros(1, types_of(sizes)["model"])
-    model["sizes"], model["flow_record"][0] = sizes, flow.view(np.float64)
-    model["period"], model["gate"] = period, np.inf
-    for name, value in asdict(torque).items():
-        model[f"torque_{name}"] = value
+    model["sizes"], model["flow_record"][0] = sizes, record.view(np.float64)
+    model["period"], model["gate"] = flow.period, np.inf
+    model["torque_gain"], model["torque_delay"] = torque.gain, torque.delay
     model["constants"] = [value for _, value, _ in native.BANK_CONSTANTS]
     initial = model["initial"]
     initial["sensors"]["value"] = np.nan

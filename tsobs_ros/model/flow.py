@@ -38,9 +38,9 @@ from tsobs_ros.model.arm import (
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.prediction import Corner, Flow, Uncertainty
 
-SINE, TORQUE, EXTERNAL = 4, 5, 6
-"""Columns of the arm's directions for sin x₁, the motor's torque and a torque at the link [N m];
-the columns before them are those of the state."""
+SINE, TORQUE, EXTERNAL, COMMAND = 4, 5, 6, 7
+"""Columns of the arm's directions for sin x₁, the motor's torque, a torque at the link, and the
+commanded part of the motor's torque [N m]; the columns before them are those of the state."""
 
 ARM_DIRECTIONS = (
     "stiffness",
@@ -52,7 +52,7 @@ ARM_DIRECTIONS = (
     "torque_gain",
 )
 """The arm's uncertain parameters: relative changes of k, of mgl, of 1/J₁, of 1/J₂ and of the torque
-at the motor, and added damping [N m s/rad].
+that commands make at the motor, and added damping [N m s/rad].
 
 Each changes the accelerations by itself, and all of these changes add up."""
 
@@ -82,7 +82,7 @@ def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncert
     """
     check_names("uncertainty", bounds, ARM_DIRECTIONS)
     link, motor = LINK_VELOCITY, MOTOR_VELOCITY
-    found = {name: np.zeros((1, 4, EXTERNAL + 1)) for name in ARM_DIRECTIONS}
+    found = {name: np.zeros((1, 4, COMMAND + 1)) for name in ARM_DIRECTIONS}
     (stiffness,), (gravity,) = found["stiffness"], found["gravity"]
     stiffness[link, [0, 2]] = -arm.stiffness / arm.link_inertia, 1.0
     stiffness[motor, :4] = -arm.stiffness / arm.motor_inertia * stiffness[link, :4]
@@ -94,8 +94,8 @@ def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncert
     of_link[EXTERNAL] = 1.0 / arm.link_inertia
     of_motor = found["motor_inverse_inertia"][0, motor]
     of_motor[:4], of_motor[TORQUE] = arm.spring_matrix[motor], arm.input_matrix[motor, 0]
-    found["torque_gain"][0, motor, TORQUE] = arm.input_matrix[motor, 0]
-    stack = np.reshape([found[name] for name in bounds], (len(bounds), 1, 4, EXTERNAL + 1))
+    found["torque_gain"][0, motor, COMMAND] = arm.input_matrix[motor, 0]
+    stack = np.reshape([found[name] for name in bounds], (len(bounds), 1, 4, COMMAND + 1))
     return Uncertainty(tuple(bounds), np.array([*bounds.values()], np.float64), stack)
 
 
@@ -152,20 +152,12 @@ class ArmFlow(Flow):
         numbers: dict[str, Any] = {"gravity_gain": self.gravity_gain, **torques}
         if uncertainty is not None and uncertainty.count:
             rows = uncertainty.directions[:, 0, [LINK_VELOCITY, MOTOR_VELOCITY]]
-            numbers["effects"] = rows.reshape(-1, EXTERNAL + 1)
+            numbers["effects"] = rows.reshape(-1, COMMAND + 1)
         return numbers
 
     def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:
         noise = second @ self.nominal.noise @ second.T
         return second @ self.nominal.phi @ first, (noise + noise.T) / 2
-
-    def linear_places(self, uncertainty: Uncertainty) -> list[int]:
-        """Return the places of the parameters that act on the state linearly: not gravity's alone.
-
-        The torque's gain does if the state has a part of the torque at the motor.
-        """
-        torques = zip((TORQUE, EXTERNAL), self.torques, strict=True)
-        return uncertainty.linear_places([column for column, each in torques if each.any()])
 
     def corners(
         self,
@@ -189,7 +181,7 @@ class ArmFlow(Flow):
             half_step: T/2 [s].
             number: Converts an array of floats to an array of the numbers in use.
         """
-        places = self.linear_places(uncertainty)
+        places = uncertainty.linear_places
         changes = number(uncertainty.directions[places, 0])
         bounds = [share * bound for bound in number(uncertainty.limits)]
         # A direction that scales gravity adds θ c to the slope; gravity does not act on the motor.

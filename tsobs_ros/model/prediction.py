@@ -14,7 +14,7 @@ doubling adds positive semidefinite terms, so the noise stays a covariance.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product as pairs_of
@@ -80,14 +80,13 @@ class Uncertainty:
         """The part of the directions that multiplies the state, shape (k, r, n, n)."""
         return self.directions[..., : self.directions.shape[2]]
 
-    def linear_places(self, columns: Sequence[int] = ()) -> list[int]:
-        """Return the places of the directions that act on the state linearly.
+    @property
+    def linear_places(self) -> list[int]:
+        """Places of the directions that act on the state linearly: not gravity's and the command's.
 
-        columns: Columns of other signals that the state has a part of. Raises `ModelError` if there
-        are too many such directions for a proof by vertices.
+        Raises `ModelError` if there are too many of them for a proof by vertices.
         """
-        acting = [self.linear, self.directions[..., columns]]
-        places = [k for k in range(self.count) if any(part[k].any() for part in acting)]
+        places = [k for k in range(self.count) if self.linear[k].any()]
         if len(places) > _MAX_DIRECTIONS:
             raise ModelError(
                 f"certify_uncertainty: expected at most {_MAX_DIRECTIONS} uncertain parameters "
@@ -296,6 +295,7 @@ class Flow(ABC):
             "terms": self._terms,
             "reach": self._reach,
             "series": self._series,
+            "torque_offset": self.torque_path.offset,
             **self.numbers(uncertainty),
         }.items():
             fill_matrix(record[name] if np.ndim(values) == 0 else record[name][0], values)
