@@ -549,20 +549,18 @@ class ArmRequest(Request):
         link, motor, names = f"{joint}_link", f"{joint}_motor", self.output_names
         sides = [name.partition("_")[0] for name in names]
         both = both_sides or len(set(sides)) == 2
+        entries = [motor if both and side == "motor" else joint for side in sides]
+        fields: list[Field] = ["position" if name in ANGLES else "velocity" for name in names]
+        own = [motor if side == "motor" else joint for side in sides]
         return Signals(
-            tuple(
-                Place(
-                    motor if both and side == "motor" else joint,
-                    "position" if name in ANGLES else "velocity",
-                )
-                for name, side in zip(names, sides, strict=True)
-            ),
+            tuple(map(Place, entries, fields)),
             (Place(joint, "effort"),),
             tuple(Place(link, f) for f in _MOTION) + tuple(Place(motor, f) for f in _MOTION),
             (joint,) if len(names) == 1 else tuple(f"{joint}/{name}" for name in names),
             tuple(Place(f"{joint}_{side}", "effort") for side in self.torque_sides),
-            (Place(motor, "effort"),) if both else (),
+            (Place(motor, "effort"),) if motor in own else (),
             self.output_units,
+            () if own == entries else tuple(map(Place, own, fields)),
         )
 
     def at_rate(self, rate: float) -> Self:

@@ -3,8 +3,8 @@
 """Signals of a design: their names, their units, and their places in JointState messages.
 
 An arm has angles, velocities and torques. A driver with an encoder on one side publishes that side
-under the joint's name; only with encoders on both sides does the motor have its own entry. A T–S
-system has one entry per signal, named as in its file; the `position` holds the value.
+under the joint's name; with encoders on both sides the motor has its own entry. A T–S system has
+one entry per signal, named as in its file; the `position` holds the value.
 """
 
 import re
@@ -120,6 +120,7 @@ class Signals(NamedTuple):
         disturbances: Entry of each output in disturbances and innovations, p names.
         torques: Places of the torque disturbances in estimates, the motor's first.
         other_inputs: Places of the inputs if `inputs` has no number; () if there are none.
+        other_outputs: Places of the outputs in messages with these entries; () if there are none.
         units: Units of the outputs, empty texts if they are not known.
     """
 
@@ -130,11 +131,13 @@ class Signals(NamedTuple):
     torques: tuple[Place, ...]
     other_inputs: tuple[Place, ...]
     units: tuple[str, ...]
+    other_outputs: tuple[Place, ...] = ()
 
     @property
     def entries(self) -> frozenset[str]:
         """The entries of measurement messages that belong to the joint."""
-        return frozenset(place.name for place in self.outputs + self.inputs + self.other_inputs)
+        others = self.other_outputs + self.other_inputs
+        return frozenset(place.name for place in self.outputs + self.inputs + others)
 
 
 def positions(names: Iterable[str]) -> tuple[Place, ...]:

@@ -57,7 +57,8 @@ class Batch(NamedTuple):
 class MeasurementReader:
     """Finds the samples of the node's joints in messages of any joints, in any order.
 
-    A sample has at least one output, and all inputs.
+    A sample has at least one output, and all inputs. A motor's own entry is that of its sensor,
+    unless it is the name of a joint.
     """
 
     def __init__(self, joints: Mapping[str, Signals], assume_zero_torque: bool) -> None:
@@ -172,9 +173,15 @@ class MeasurementReader:
 
         picked, codes = list[int](), []
         for each in self._joints.values():
+            own = {place.name for place in each.other_outputs}
+            has_own = own & found.keys() - self._joints.keys()
             outputs, inputs, others = (
                 [place_of(place) for place in places]
-                for places in (each.outputs, each.inputs, each.other_inputs)
+                for places in (
+                    each.other_outputs if has_own else each.outputs,
+                    each.inputs,
+                    each.other_inputs,
+                )
             )
             picked += outputs + inputs + others
             measured = any(place != _NOTHING for place in outputs)

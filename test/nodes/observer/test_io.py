@@ -25,6 +25,7 @@ from tsobs_ros.resources import config_path
 
 ARM, SYSTEM = ArmRequest(), load_request(config_path("ts_example.request.yaml"))
 BOTH_SIDES = ArmRequest(outputs=[Output("link_angle", 1e-3), Output("motor_angle", 1e-3)])
+MOTOR = ArmRequest(outputs=[Output("motor_angle", 1e-3)])
 VELOCITIES = ArmRequest(outputs=[Output("motor_velocity", 1e-3), Output("motor_angle", 1e-3)])
 WAVE = (DisturbanceTerm("gauss_markov", {"std": 1.0, "time_constant": 1.0}),)
 HIP, KNEE, DRIVE = "hip", "knee", ["drive", "gyroscope", "encoder"]
@@ -77,6 +78,10 @@ def test_each_joint_finds_its_sample(
         (BOTH_SIDES, ["hip", "hip_motor"], {"velocity": [1.0, 2.0], "effort": [3.0, 3.0]}, WRONG),
         (VELOCITIES, ["hip"],
          {"position": [1.0], "velocity": [2.0], "effort": [3.0]}, ([2.0, 1.0], [3.0])),
+        # A motor's own entry is its sensor; the joint's is then the link.
+        (MOTOR, ["hip", "hip_motor"], {"position": [1.0, 2.0], "effort": [3.0]}, ([2.0], [3.0])),
+        (MOTOR, ["hip_motor"], {"position": [2.0], "effort": [4.0]}, ([2.0], [4.0])),
+        (MOTOR, ["hip"], {"position": [1.0], "effort": [3.0]}, ([1.0], [3.0])),
         (SYSTEM, DRIVE, {"position": [3.0, 2.0, 1.0]}, ([1.0, 2.0], [3.0])),
         (SYSTEM, DRIVE[1:], {"position": [1.0, 2.0]}, MISSING),
     ],
@@ -89,6 +94,13 @@ def test_what_a_message_lacks_of_several_outputs_is_nan(
     assert str(shown(reader.read([data]))) == str([expected])  # NaN equals NaN in text
     if isinstance(expected, int):
         assert "missing" in reader.describe(data, HIP)
+
+
+def test_a_joint_with_the_name_of_a_motor_is_a_joint() -> None:
+    joints = {joint: MOTOR.signals(joint, alone=False) for joint in (HIP, "hip_motor")}
+    reader = MeasurementReader(joints, assume_zero_torque=False)
+    data = message([*joints], [1.0, 2.0], [3.0, 4.0])
+    assert shown(reader.read([data])) == [([1.0], [3.0]), ([2.0], [4.0])]
 
 
 def test_messages_that_wait_together_come_in_the_order_of_their_stamps() -> None:
