@@ -424,6 +424,16 @@ def test_friction_of_the_link_is_not_taken_for_friction_of_the_motor() -> None:
     assert compared(request, run)[[0, 2]].max() < 1.4
 
 
+def test_hits_are_found_by_encoders_whose_samples_alternate() -> None:
+    bias = (DisturbanceTerm("bias", {"density": 1e-6, "initial_std": 0.05}),)
+    encoders = (Output("motor_angle", 0.002, bias), Output("link_angle", 0.005, bias))
+    request = ArmRequest(outputs=encoders)
+    hits = [Pulses(size / 0.01, start, 0.01, 0.0) for size, start in ((0.5, 25.003), (-0.4, 42.0))]
+    run = ts.simulate(request, duration=60.0, seed=3, torque_disturbance={"link": hits})
+    run.angle[::2, 0] = run.angle[1::2, 1] = math.nan
+    assert compared(request, run).max() < 0.8
+
+
 @pytest.mark.parametrize("offset", [0.0, 4.0])
 def test_the_gain_of_the_drive_is_learnt_if_the_design_asks_for_it(offset: float) -> None:
     """It scales commands, not the drive's offset."""

@@ -1033,9 +1033,8 @@ static int may_be_hit(
     double size)
 {
     const sensor of = sensor_of(m, at, output);
-    const int lasts = *of.since <= *m->longest
-                      && best->previous[output] * size > m->constants[SUDDEN];
-    return *m->design_flow.kind == KIND_ARM && (is_outlier || lasts)
+    return *m->design_flow.kind == KIND_ARM
+           && (is_outlier || best->previous[output] * size > m->constants[SUDDEN])
            && !(*of.repeats > 0 && hides_steps(&of, m->R[output * (m->s.p + 1)]));
 }
 
