@@ -18,7 +18,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.health import judge_rate, rate_of
-from tsobs_ros.estimation.records import HEALTH, Basis, RejectReason
+from tsobs_ros.estimation.records import HEALTH, USED, Basis, RejectReason
 from tsobs_ros.estimation.state import types_of
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import METHODS, ObserverSettings, given_or_default, make_tracker
@@ -97,8 +97,8 @@ class Estimates:
         hypothesis: Hypothesis on the arm and its sensor, codes of `Hypothesis` in the same module,
             shape (n,).
         in_domain: Whether the estimated link angle is in the certificate's domain, shape (n,).
-        used: Number of measurements used.
-        rejected: Number of measurements not used, by reason; for a bag, those of all joints.
+        used: Number of measurements used: outputs and inputs.
+        rejected: Number of the others by reason; of some of them, outputs are used.
     """
 
     time: Array
@@ -286,7 +286,7 @@ def estimate(
     count = len(stamps)
     ticks = stamps, np.maximum.accumulate(stamps), np.arange(1, count + 1)
     made = tracker.run(stamps, y, u, ticks)
-    rejected = Counter(RejectReason(code) for code in made.outcomes.codes.tolist() if code)
+    outcomes = Counter(made.outcomes.codes.tolist())
     late = np.flatnonzero(made.outcomes.codes == RejectReason.TOO_OLD)
     if len(late):
         _warn(
@@ -296,11 +296,11 @@ def estimate(
         )
     off, text = judge_rate(rate_of(stamps), request.rate)
     health = health_of(np.column_stack([made.rows[name] for name in HEALTH]), tracker)
-    reasons = ", ".join(reason.text for reason in rejected)
+    reasons = ", ".join(_rejected(outcomes))
     misfit = health.misfit if health else f"no estimate was made; rejected: {reasons}"
     _warn(text if off else None, misfit)
     innovations = made.outcomes.innovations
-    return _estimates(request, tracker, times, made.rows, times, innovations, rejected)
+    return _estimates(request, tracker, times, made.rows, times, innovations, outcomes)
 
 
 class BagEstimates(NamedTuple):
@@ -369,7 +369,7 @@ def estimate_bag(
             made.rows,
             innovations.seconds(),
             innovations.values,
-            run.rejected,
+            run.outcomes[joint],
         )
     live = run.agreement()
     reproduced = None if live is None or not live.recorded else live.reproduced / live.recorded
@@ -487,6 +487,10 @@ def _components(disturbance: Disturbance) -> list[Any]:
     return [changed(KINDS[k](), disturbance[k]) for k in kinds]
 
 
+def _rejected(outcomes: Mapping[int, int]) -> dict[str, int]:
+    return {reason.text: outcomes[reason] for reason in RejectReason if outcomes.get(reason)}
+
+
 def _estimates(
     request: AnyRequest,
     tracker: Tracker,
@@ -494,7 +498,7 @@ def _estimates(
     rows: Any,
     innovation_time: Array,
     innovations: Array,
-    rejected: Mapping[RejectReason, int],
+    outcomes: Mapping[int, int],
 ) -> Estimates:
     """Return estimates as plain arrays, with a column per output but of an arm with only one."""
     estimator, used = tracker.estimator, np.isfinite(innovations).any(axis=1)
@@ -515,8 +519,8 @@ def _estimates(
         time=time,
         innovation=kept,
         innovation_time=innovation_time[used],
-        used=int(used.sum()),
-        rejected={reason.text: number for reason, number in rejected.items()},
+        used=outcomes.get(USED, 0),
+        rejected=_rejected(outcomes),
         **{item.name: columns[item.name] for item in fields(Estimates) if item.name in columns},
     )
 

@@ -559,6 +559,17 @@ def test_an_implausible_torque_is_a_gap_and_its_angle_is_used(
     assert got.found == {}
 
 
+@both
+def test_a_torque_that_was_never_known_is_not_taken_for_zero(name: str) -> None:
+    """Else the arm's swing is taken for a tone of the sensor, with claimed bounds that break."""
+    run = ts.simulate(DESIGNS[name], duration=60.0, seed=1)
+    got = ts.estimate(DESIGNS[name], run.time, run.angle, np.full(len(run.time), math.nan))
+    assert (got.used, got.rejected) == (0, {"unknown input": len(run.time)})
+    assert (np.abs(got.state - run.state) <= 3.0 * got.state_bound).all()
+    assert (got.hypothesis == Hypothesis.AS_DESIGNED).mean() > 0.9
+    assert got.claimed.mean() > 0.9
+
+
 K = np.arange(RATE)
 
 

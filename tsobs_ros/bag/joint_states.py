@@ -28,6 +28,8 @@ _NO_VALUES = np.zeros((1, 0))
 # rclpy.serialize_message() also reserves padding for empty arrays, with arbitrary content.
 _LARGEST_TAIL = 16
 _MOST_TEMPLATES = 64
+_PLAIN = LITTLE[:2]
+"""The encoding; the other two bytes of the header are options, which some middlewares set."""
 _CONSTANT = HEADER + 8
 """Offset of the first byte after the stamp."""
 
@@ -86,11 +88,11 @@ class _Template:
             begins.append(counts[-1] + 4 + padding)
         pads = [begin - count - 4 for begin, count in zip(begins[1:], counts, strict=True)]
         arrays = f"{lengths[0]}dI{pads[0]}x{lengths[1]}dI{pads[1]}x{lengths[2]}d"
-        self._struct = struct.Struct(f"<4siI{len(constant)}s{arrays}")
+        self._struct = struct.Struct(f"<2s2xiI{len(constant)}s{arrays}")
         doubles = [("<f8", (length,)) for length in lengths]
         self._dtype = {
             "names": ["header", "sec", "nanosec", "constant", *JointState._fields[2:5], *"ve"],
-            "formats": [f"V{HEADER}", "<i4", "<u4", f"V{len(constant)}", *doubles, "<u4", "<u4"],
+            "formats": [f"V{len(_PLAIN)}", "<i4", "<u4", f"V{len(constant)}", *doubles, "<u4", "<u4"],
             "offsets": [0, HEADER, HEADER + 4, _CONSTANT, *begins, *counts],
         }
         # Places of the counts of velocities and efforts among the fields of the struct.
@@ -101,7 +103,7 @@ class _Template:
         """Return the message with position, velocity and effort of the template's lengths."""
         position, velocity, effort = numbers
         _, velocities, efforts = self._lengths
-        front = LITTLE, *divmod(stamp, NANOSECONDS), self._constant
+        front = _PLAIN, *divmod(stamp, NANOSECONDS), self._constant
         return self._struct.pack(*front, *position, velocities, *velocity, efforts, *effort)
 
     def unpack(self, data: bytes) -> JointState | None:
@@ -109,7 +111,7 @@ class _Template:
         fields = self._struct.unpack_from(data)
         velocities, efforts = self._velocities, self._efforts
         counts = fields[velocities], fields[efforts]
-        if (fields[0], fields[3], counts) != (LITTLE, self._constant, self._lengths[1:]):
+        if (fields[0], fields[3], counts) != (_PLAIN, self._constant, self._lengths[1:]):
             return None
         stamp = fields[1] * NANOSECONDS + fields[2]
         numbers = fields[4:velocities], fields[velocities + 1 : efforts], fields[efforts + 1 :]
@@ -118,7 +120,7 @@ class _Template:
     def unpack_rows(self, places: Places, data: NDArray[np.uint8]) -> JointStates:
         """Return the messages that match the template; `data` has one message per row."""
         rows = self._rows(np.ascontiguousarray(data))
-        fits = (rows["header"] == np.void(LITTLE)) & (rows["constant"] == np.void(self._constant))
+        fits = (rows["header"] == np.void(_PLAIN)) & (rows["constant"] == np.void(self._constant))
         fits &= (rows["v"] == self._lengths[1]) & (rows["e"] == self._lengths[2])
         places, rows = places[fits], rows[fits]
         stamps = rows["sec"].astype(np.int64) * NANOSECONDS + rows["nanosec"]

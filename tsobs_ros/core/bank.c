@@ -1219,11 +1219,9 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
                         && *m->late_factor >= 1.0;
     const int in_gap = *m->torque_rate > 0.0 && *m->gain_mode != GAIN_OPEN && !is_late
                        && (*at->in_gap != 0 || !known || duration > *m->longest);
-    const double age = known ? *at->since : *at->torque_age;
-    const double forgotten = in_gap && isfinite(age) ? *m->torque_rate * *m->torque_rate
-                                                           * (2.0 * age + duration)
-                                                     : 0.0;
-    course along = course_over(m, duration, forgotten, scratch);
+    const double age = known ? *at->since : minimum(*at->torque_age, *at->age);
+    const double rate = in_gap ? *m->torque_rate : 0.0;
+    course along = course_over(m, duration, rate * rate * (2.0 * age + duration), scratch);
     hypothesis h;
     *at->late = is_late;
     for (long i = 0; find_live(m, at, &i, &h); i++) {

@@ -31,7 +31,7 @@ USED = 0
 
 
 class RejectReason(Code):
-    """The reason why a measurement was not used; the text is its name in reports.
+    """The reason why a measurement was not used in full; the text is its name in reports.
 
     If its torque is implausible or an input is unknown, its outputs are still used. If it has no
     outputs, its inputs are still used.

@@ -194,7 +194,7 @@ class Tracker:
 
     @property
     def rejected(self) -> Counter[RejectReason]:
-        """Number of measurements not used, by reason."""
+        """Number of the other measurements by reason; of some of them, outputs are used."""
         # The estimator itself refuses some measurements, or parts of them.
         counts = self.memory["refused"][0] + self.state["judged"][0]
         return Counter({reason: int(counts[reason]) for reason in RejectReason if counts[reason]})

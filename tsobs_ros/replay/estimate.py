@@ -104,8 +104,7 @@ class Run:
         signals: The places of each joint's signals.
         trackers: One per joint.
         estimates: Number of ticks with an estimate.
-        used: Number of measurements used, of all joints.
-        rejected: Number of measurements not used, by reason.
+        outcomes: Number of measurements of each joint by outcome: `USED`, or a `RejectReason`.
         window: The last window, of n samples and m ticks.
         rows: Its estimates of each joint, NaN if there is none, shape (m,).
         done: Whether there is an estimate of any joint, shape (m,).
@@ -122,8 +121,8 @@ class Run:
     ) -> None:
         self.observer, self.windows, self._source = observer, windows, source
         self.trackers = [make_tracker(one, observer.settings) for one in observer.designs]
-        self.estimates = self.used = 0
-        self.rejected: Counter[RejectReason] = Counter()
+        self.estimates = 0
+        self.outcomes = [Counter[int]() for _ in self.trackers]
         # How often each output was gated and missing.
         self._outputs = [np.zeros((one.estimator.shape.p, 2), int) for one in self.trackers]
         self.signals = source.signals_of([design.request for design in observer.designs])
@@ -226,6 +225,17 @@ class Run:
         parts = [np.asarray(self.rows[joint][name]) for name in names]
         return np.hstack([part if part.ndim > 1 else part[:, np.newaxis] for part in parts])
 
+    @property
+    def used(self) -> int:
+        """Number of measurements used, of all joints."""
+        return sum(one[USED] for one in self.outcomes)
+
+    @property
+    def rejected(self) -> dict[RejectReason, int]:
+        """Number of rejected measurements of all joints, by reason."""
+        counts = {reason: sum(one[reason] for one in self.outcomes) for reason in RejectReason}
+        return {reason: count for reason, count in counts.items() if count}
+
     def _estimate(self) -> None:
         """Make the estimates of the window, each joint on its own, and update the counts."""
         samples, ticks, _ = self.window
@@ -247,12 +257,10 @@ class Run:
             innovations = np.full((len(samples), one.outcomes.innovations.shape[1]), np.nan)
             innovations[samples.codes[:, joint] == USED] = one.outcomes.innovations
             self.innovations.append(innovations)
-            self.used += int(np.isfinite(one.outcomes.innovations).any(axis=1).sum())
             refused = samples.codes[samples.codes[:, joint] > USED, joint]
             codes = np.append(refused, one.outcomes.codes)
             for code, number in enumerate(np.bincount(codes).tolist()):
-                if code and number:
-                    self.rejected[RejectReason(code)] += number
+                self.outcomes[joint][code] += number
             for place, code in enumerate((RejectReason.GATED, RejectReason.NON_FINITE)):
                 self._outputs[joint][:, place] += (one.outcomes.output_codes == code).sum(axis=0)
 
