@@ -159,18 +159,51 @@ def test_changes_of_parameters_are_named(
     assert "were changed while it ran: supervision.gate; the first" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("observer", ["/arm/observer", "/arm/mine"])
 def test_measurements_of_any_topic_are_found_by_the_record(
-    arms: Any, write_bag: Callable[..., Path], capsys: Any
+    observer: str, arms: Any, write_bag: Callable[..., Path], capsys: Any
 ) -> None:
-    """Of a robot's /joint_states, with more joints than are observed."""
+    """Of a robot's /joint_states, with more joints than are observed, beside another's."""
     file = load_design(FIXED)
     text = record_text("/joint_states", ["wrist"], [file], values_of(ObserverSettings()))
     moved = [("/joint_states", data, time) for _, data, time in arms.messages(50, joints=2)]
-    bag = write_bag([("/arm/observer/design", encode_text(text), START), *moved])
+    others = [(f"/other{topic}", data, time) for topic, data, time in arms.messages(20)]
+    bag = write_bag([(f"{observer}/design", encode_text(text), START), *moved, *others])
 
     assert estimate(bag) == 0
-    assert "50 measurements of wrist over" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "50 measurements of wrist over" in shown
+    assert FIXED in shown
     assert "/arm/observer/joint_states" in BagReader(f"{bag}_estimates").topics
+
+
+def test_of_two_observers_of_a_topic_one_is_named(
+    arms: Any, write_bag: Callable[..., Path], soft: str, capsys: Any
+) -> None:
+    files = {"/mine": soft, "/observer": FIXED}
+    designs = [(f"{name}/design", record(file), START) for name, file in files.items()]
+
+    assert estimate(write_bag([*designs, *arms.messages(20)])) == 0
+    shown = capsys.readouterr().out
+    assert "of /joint_measurements, /observer is meant, not /mine" in shown
+    assert FIXED in shown
+
+
+@pytest.mark.parametrize("joint", ["wrist", "left/wrist"])
+@pytest.mark.parametrize("is_observed", [True, False])
+def test_a_joint_that_begins_late_is_estimated(
+    joint: str, is_observed: bool, arms: Any, write_bag: Callable[..., Path]
+) -> None:
+    late = JointStateEncoder([joint])(START + 10**10, [0.0], (), [0.0])
+    data = record(*3 * [FIXED], joints=("elbow", joint, "absent"))
+    bag = write_bag(
+        [
+            *([("/observer/design", data, START)] if is_observed else []),
+            *[message for _ in range(4) for message in arms.messages(300)],
+            ("/joint_measurements", late, START + 10**10),
+        ]
+    )
+    assert BagSource(bag).joints == ("elbow", joint)
 
 
 def changed(data: str, **entries: Any) -> bytes:

@@ -92,7 +92,7 @@ class _Template:
         doubles = [("<f8", (length,)) for length in lengths]
         self._dtype = {
             "names": ["header", "sec", "nanosec", "constant", *JointState._fields[2:5], *"ve"],
-            "formats": [f"V{len(_PLAIN)}", "<i4", "<u4", f"V{len(constant)}", *doubles, "<u4", "<u4"],
+            "formats": ["V2", "<i4", "<u4", f"V{len(constant)}", *doubles, "<u4", "<u4"],
             "offsets": [0, HEADER, HEADER + 4, _CONSTANT, *begins, *counts],
         }
         # Places of the counts of velocities and efforts among the fields of the struct.
@@ -238,6 +238,12 @@ class JointStateDecoder:
             places, rows = places[left], rows[left]
         return found
 
+    def names(self, groups: Iterable[tuple[Places, NDArray[np.uint8]]]) -> dict[str, None]:
+        """Return the names in messages, each once, in the messages' order; `groups` as above."""
+        found = chain.from_iterable(self.decode_rows(*one) for one in groups)
+        ordered = sorted(found, key=lambda group: int(group.places[0]))
+        return dict.fromkeys(chain.from_iterable(group.names for group in ordered))
+
     def read_places(
         self, count: int, groups: Iterable[tuple[Places, NDArray[np.uint8]]], wanted: Wanted
     ) -> tuple[Flags, Stamps, Array]:
@@ -256,23 +262,6 @@ class JointStateDecoder:
                 if place < (numbers := getattr(group, field)).shape[1]:
                     values[group.places, at] = numbers[:, place]
         return named, stamps, values
-
-
-def joint_names(messages: Iterable[bytes]) -> tuple[str, ...]:
-    """Return the names in some messages, each once.
-
-    Raises:
-        MessageError: Some messages are no JointStates, and the others have no names.
-    """
-    decode, names, problem = JointStateDecoder(), dict[str, None](), None
-    for message in messages:
-        try:
-            names |= dict.fromkeys(decode(message).names)
-        except MessageError as error:
-            problem = problem or error
-    if problem and not names:
-        raise problem
-    return tuple(names)
 
 
 def _constant(names: tuple[str, ...], positions: int) -> bytes:

@@ -3,8 +3,8 @@
 """Recorded measurements of some joints, in the order of recording, and the bags that hold them."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, Set
-from functools import cache
-from itertools import islice, pairwise
+from functools import cache, cached_property
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeAlias
@@ -14,7 +14,7 @@ import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import TICK_LOG
-from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagReader, until_damage
 from tsobs_ros.design.file import checksum, identity, load_design
@@ -32,7 +32,6 @@ MEASUREMENTS = "joint_measurements"
 UNNAMED_SYSTEM = "system"
 """Name of a T–S system that a recording does not name."""
 
-_OBSERVER = "/observer"
 # Stamps that go back this far are not just late: time restarted (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
 # No run pauses for a day: stamps that leap ahead so far are of another clock, as of the system's
@@ -41,7 +40,6 @@ _OTHER_CLOCK = 86_400 * NANOSECONDS
 # This many messages in a row must lie there, because one straggler is no restart.
 _RESTART_MESSAGES = 10
 _SAME_CLOCK = NANOSECONDS
-_FIRST_MESSAGES = 1000
 _BLOCK = 2**15
 _MAX_OTHERS = 32
 
@@ -76,11 +74,9 @@ class BagSource:
 
     Args:
         path: The bag's folder, or one MCAP file.
-        topic: Full name of the measurements' topic; by default the only one that ends in
-            `joint_measurements`, or the one that the live observer used, or the only one of
-            JointStates.
-        joints: By default the live observer's joints that the first messages have, else all joints
-            of the first messages.
+        topic: Full name of the measurements' topic; by default the one that the live observer
+            used, or the only one that ends in `joint_measurements`, or the only one of JointStates.
+        joints: By default the live observer's joints that are measured, else all that are measured.
         assume_zero_torque: Take a missing effort as torque 0; None: as the live observer did.
         held_out: Sensor that is kept from all observers: one of `QUANTITIES`, optionally with a
             place, as in `link_angle=/TOPIC`, `=/TOPIC:ENTRY` or `=:ENTRY`.
@@ -93,13 +89,14 @@ class BagSource:
             an input that a joint does not have, and CRC-32 of the messages as `checksums`.
         ran: The designs and parameters of the recorded observer.
         same_clock: Whether stamps and log times seem to be of the same clock.
+        observer: Full name of the recorded observer, or the one that it would have.
         namespace: Prefix of the topics' names: empty, or with a slash at its front only.
         was_observed: Whether the bag has output of an observer that ran during the recording.
         tick_log: Full name of the topic with this observer's ticks, empty if there is none.
         truth: Full names of the simulator's topics in the bag, by their names in `TRUTH`.
         damage: The error that ended reading early.
         remarks: Notes for the user.
-        guessed: Whether the joints are those of the first messages, as nothing else names them.
+        guessed: Whether the joints are those of the messages, as nothing else names them.
         requests: The requests of the designs, after `observe`.
         with_motors: Joints whose motor has its own entry, although a design may use one side only.
         held_out_columns: Title of the held-out sensor's column of each joint, in a log.
@@ -114,6 +111,7 @@ class BagSource:
     samples: Records
     same_clock: bool
     ran = RecordedObserver()
+    observer = "/observer"
     namespace = ""
     was_observed = False
     tick_log = ""
@@ -138,41 +136,42 @@ class BagSource:
         self.path, self.held_out = path, held_out
         self.reader = BagReader(path)
         observers = recorded_observers(self.reader)
-        of_topic = {
-            ran.measurements: name.removesuffix(_OBSERVER)
-            for name, ran in observers.items()
-            if name.endswith(_OBSERVER) and ran.measurements in self.reader.topics
-        }
-        self.topic = self._find_measurements(of_topic) if topic is None else topic
+        used = [ran.measurements for ran in observers.values() if ran.measurements]
+        observed = self.reader.topics.keys() & used
+        self.topic = self._find_measurements(observed) if topic is None else topic
         self.reader.require([self.topic], JOINT_STATE)
-        self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
-        self.ran = observers.get(f"{self.namespace}{_OBSERVER}", self.ran)
-        first = self._first_names()
-        parts = {name.partition("/")[0] for name in first}
-        only = len(self.ran.designs) <= 1
-        ran = tuple(one for one in self.ran.designs if only or parts & {one, f"{one}_motor"})
+        self.observer = self._find_observer(observers)
+        self.namespace = self.observer.rpartition("/")[0]
+        self.ran = observers.get(self.observer, self.ran)
+        names, only = self._names, len(self.ran.designs) <= 1
+        entries = [f"{name}/" for name in names]
+        ran = tuple(
+            joint
+            for joint in self.ran.designs
+            if only or any(one.startswith((f"{joint}/", f"{joint}_motor/")) for one in entries)
+        )
         self.guessed = not joints and not ran
-        motors = {f"{name}_motor" for name in first}
-        self.joints = tuple(joints) or ran or tuple(one for one in first if one not in motors)
+        motors = {f"{name}_motor" for name in names}
+        self.joints = tuple(joints) or ran or tuple(one for one in names if one not in motors)
         if not self.joints:
             raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
         self._alone = only and not any(
-            name.startswith(f"{joint}/") for joint in self.joints for name in first
+            name.startswith(f"{joint}/") for joint in self.joints for name in names
         )
         # A motor with its own entry is not the link, whichever of both the design measures, and
         # a held-out sensor without a place is the other one. A recorded observer chose itself.
         if not ran or held_out in QUANTITIES:
-            named = {*self.joints, *first}
-            self.with_motors = {one for one in named if topics.sides(one)[1] in first}
+            named = {*self.joints, *names}
+            self.with_motors = {one for one in named if topics.sides(one)[1] in names}
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
         self._assume_zero_torque = assume_zero_torque
-        states = self.there(f"{_OBSERVER}/", [topics.STATES]).values()
+        states = self.there(self.observer, [topics.STATES]).values()
         self.was_observed = any(self.reader.topics[topic].count for topic in states)
-        ticks = self.reader.topics.get(f"{self.namespace}{_OBSERVER}/{topics.TICKS}")
+        ticks = self.reader.topics.get(f"{self.observer}/{topics.TICKS}")
         if ticks is not None and ticks.type == TICK_LOG and ticks.count:
             self.tick_log = ticks.name
-        self.truth = self.there("/", topics.TRUTH)
+        self.truth = self.there(self.namespace, topics.TRUTH)
 
     def observe(self, requests: Sequence[AnyRequest]) -> None:
         """Read the data that the designs of the joints need.
@@ -319,14 +318,14 @@ class BagSource:
         self.damage = error
 
     def there(self, prefix: str, names: Iterable[str]) -> dict[str, str]:
-        """Return the full names of the JointStates of these names that the namespace has."""
-        full = {name: f"{self.namespace}{prefix}{name}" for name in names}
+        """Return the full names of the JointStates of these names below a node or namespace."""
+        full = {name: f"{prefix}/{name}" for name in names}
         there = {name for name, topic in self.reader.topics.items() if topic.type == JOINT_STATE}
         return {key: name for key, name in full.items() if name in there}
 
     def _find_measurements(self, observed: Collection[str]) -> str:
-        names = [name for name in self.reader.topics if f"/{name}".endswith(f"/{MEASUREMENTS}")]
-        names = names or list(observed)
+        named = [name for name in self.reader.topics if f"/{name}".endswith(f"/{MEASUREMENTS}")]
+        names = sorted(observed) or named
         states = [name for name, topic in self.reader.topics.items() if topic.type == JOINT_STATE]
         if not names and len(states) == 1:
             self.remarks += (f"note: the measurements are taken from {states[0]}",)
@@ -334,17 +333,36 @@ class BagSource:
         if len(names) == 1:
             return names[0]
         has = ", ".join(names or states or self.reader.topics) or "none"
-        what = "several topics end" if names else "no topic ends"
+        what = "several topics may be" if names else f"no topic ends in {MEASUREMENTS}, so none is"
         raise BagReadError(
-            f"{self.path}: {what} in {MEASUREMENTS}; name one with --topic, there are: {has}"
+            f"{self.path}: {what} the measurements; name one with --topic, there are: {has}"
         )
 
-    def _first_names(self) -> tuple[str, ...]:
-        messages = until_damage(self.reader.messages([self.topic]), self.damaged)
-        try:
-            return joint_names(message.data for message in islice(messages, _FIRST_MESSAGES))
-        except MessageError as error:
-            raise BagReadError(f"{self.path}: {self.topic}: {error}") from error
+    def _find_observer(self, observers: Mapping[str, RecordedObserver]) -> str:
+        """Return the full name of the observer of the measurements."""
+        usual = f"{self.topic.rpartition('/')[0]}/observer"
+        own = [name for name, ran in observers.items() if ran.measurements == self.topic]
+        chosen = next((name for name in own if name.endswith("/observer")), (*own, usual)[0])
+        if others := [name for name in own if name != chosen]:
+            self.remarks += (
+                f"note: of the bag's observers of {self.topic}, {chosen} is meant, not "
+                f"{', '.join(others)}",
+            )
+        return chosen
+
+    @cached_property
+    def _names(self) -> Mapping[str, None]:
+        """The names in all measurements, in the order of the messages."""
+        names, decode = dict[str, None](), JointStateDecoder()
+        for block in self.reader.blocks([self.topic], _BLOCK, on_damage=self.damaged):
+            names |= decode.names(block[self.topic].groups)
+        if not names:
+            try:
+                for message in until_damage(self.reader.messages([self.topic]), self.damaged):
+                    decode(message.data)
+            except MessageError as error:
+                raise BagReadError(f"{self.path}: {self.topic}: {error}") from error
+        return names
 
     def _read(self) -> None:
         joints = dict(zip(self.joints, self.signals, strict=True))
@@ -395,7 +413,7 @@ class BagSource:
         text = f"no message of {self.topic} has {', '.join(lacking)}"
         if not self.was_observed:
             entries = frozenset().union(*(own.entries for own in self.signals))
-            names = self._first_names()
+            names = self._names
             others = [name for name in names if name not in entries]
             has = ", ".join([*seen, *others[:_MAX_OTHERS]]) or "none"
             text = f"{self.path}: {text}, which the design measures; it has: {has}"

@@ -112,7 +112,7 @@ class LiveRun:
 
     def __init__(self, source: BagSource) -> None:
         names = {topics.TICKS: source.tick_log}
-        names |= source.there("/observer/", (topics.RESTARTS, *COMPARED))
+        names |= source.there(source.observer, (topics.RESTARTS, *COMPARED))
         measured = source.samples.checksums
         ticks, checksums = Spool(_LOGGED), Spool(np.dtype(np.int64))
         self._estimates = Spool(_MESSAGE)

@@ -175,8 +175,8 @@ def recorded_parts(
 ) -> dict[str, Series]:
     """Return the parts of a run that a bag, whose designs are known, has for a joint, by name.
 
-    These are the measurements in the order of recording, the truth and, if `observer` names one,
-    its estimates; `learnt` has the names of its learnt parameters.
+    These are the measurements in the order of recording, the truth and, if `observer` is the full
+    name of one, its estimates; `learnt` has the names of its learnt parameters.
     """
     joint, own, samples = source.joints[place], source.signals[place], source.samples
     # The entries of health and parameters have other names if the joint is alone.
@@ -185,8 +185,7 @@ def recorded_parts(
     ]
     parts = {key: (source.truth.get(end, ""), end) for key, end in TRUE.items()}
     if observer:
-        prefix = f"{source.namespace}/{observer}/"
-        parts |= {key: (prefix + end, end) for key, end in _OWN.items()}
+        parts |= {key: (f"{observer}/{end}", end) for key, end in _OWN.items()}
     asked = {
         key: (topic, [one[end] for one in each])
         for key, (topic, end) in parts.items()
@@ -199,9 +198,11 @@ def recorded_parts(
 
 
 def read_run(
-    source: BagSource, request: ArmRequest | TSRequest, *, observer: str = "observer"
+    source: BagSource, request: ArmRequest | TSRequest, *, observer: str | None = None
 ) -> RecordedRun:
     """Return the recorded estimates of the only joint of a source.
+
+    `observer` is the name of their observer beside the measurements; None: the recorded one.
 
     If the recorded time restarts, as in a looped bag, the pass with the longest estimates is read.
 
@@ -210,13 +211,14 @@ def read_run(
     """
     source.observe([request])
     (joint,), path = source.joints, Path(source.path)
-    found = recorded_parts(source, 0, observer, request.uncertainty_model.names)
+    node = source.observer if observer is None else f"{source.namespace}/{observer}"
+    found = recorded_parts(source, 0, node, request.uncertainty_model.names)
     if source.damage is not None:
         raise source.damage
     if "state" not in found or not len(found["state"].stamps):
         raise BagReadError(
             f"{path}: no estimate of {joint} from {source.count} measurements on {source.topic}; "
-            f"expected some on {source.namespace}/{observer}/{topics.STATES}. The observer's log "
+            f"expected some on {node}/{topics.STATES}. The observer's log "
             "and /diagnostics say why it rejects measurements. Topics: "
             f"{', '.join(source.reader.topics)}"
         )
@@ -228,7 +230,7 @@ def read_run(
 def diagnostics(source: BagSource) -> Iterator[RecordedStatus]:
     """Yield the observer's recorded statuses for a source's only joint."""
     topic = source.reader.topics.get("/diagnostics")
-    node = f"{source.namespace}/observer".strip("/")
+    node = source.observer.strip("/")
     if topic is None or topic.type != "diagnostic_msgs/msg/DiagnosticArray":
         return
     mark, decode = f"{node}: ".encode(), source.reader.decoder(topic.name)
