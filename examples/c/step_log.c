@@ -16,6 +16,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 static void quit(const char *where, const char *why)
 {
@@ -36,10 +37,13 @@ static void *allocate(size_t bytes)
 static void *read_file(const char *name, size_t *bytes)
 {
     FILE *file = fopen(name, "rb");
-    long size = 0;
+    long size = -1;
     void *content;
-    if (file == NULL || fseek(file, 0, SEEK_END) != 0 || (size = ftell(file)) < 0) {
-        quit(name, "cannot be opened");
+    if (file != NULL && getc(file) != EOF && fseek(file, 0, SEEK_END) == 0) {
+        size = ftell(file);
+    }
+    if (file == NULL || size < 0) {
+        quit(name, "cannot be read, or is empty");
     }
     rewind(file);
     content = allocate((size_t)size + 1);
@@ -112,6 +116,9 @@ int main(int count, char **arguments)
     }
     print_names(&design.sizes);
     while (fgets(line, sizeof line, log) != NULL) {
+        if (line[strspn(line, " \r\n")] == '\0') {
+            continue;
+        }
         read_numbers(line, numbers, 1 + p + m);
         if (!(fabs(numbers[0]) < 9e9)) {
             quit(arguments[2], "expected each line to begin with a time");

@@ -151,7 +151,7 @@ def test_every_bit_is_that_of_python(
     table = np.column_stack([time, angle, torque])
     lines = [",".join("" if np.isnan(x) else repr(float(x)) for x in row) for row in table]
     log, file = tmp_path / "log.csv", tmp_path / "my_arm.tsobs"
-    log.write_text("\n".join(["time,outputs,torque", *lines, ""]), "ascii")
+    log.write_text("\n".join(["time,outputs,torque", *lines[:9], "", *lines[9:], ""]), "ascii")
     ts.export_c(design, file, settings)
 
     done = run(program, file, log)

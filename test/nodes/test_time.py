@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from staging import values
 from staging.stage import BEGIN, MS, OUTPUTS, PERIOD, Arm, Event, Stage, good, replayed
 
@@ -35,6 +36,16 @@ def test_estimates_are_the_trackers_bit_for_bit_at_any_rates(
         sides = [f"{arm.joint}_link", f"{arm.joint}_motor"]
         names = sides if topic in ("joint_states", "error_bound") else [arm.joint]
         assert all(list(each.message.name) == names for each in stage.watcher.of(topic))
+
+
+def test_without_a_clock_an_observer_says_what_it_waits_for(
+    stage: Stage, capfd: pytest.CaptureFixture[str]
+) -> None:
+    stage.add()
+    status = stage.statuses()["observer: state"]
+    assert status.level == DiagnosticStatus.WARN
+    assert status.message.startswith("waiting for /clock")
+    assert "waiting for /clock" in capfd.readouterr().err
 
 
 def test_a_clock_that_goes_back_may_be_waited_for_instead(stage: Stage) -> None:

@@ -170,6 +170,7 @@ def test_times_in_ms_that_are_read_as_s_are_suspected(estimate, tmp_path) -> Non
         (("t,q,tau", "0,005,0,1,1"), {}, "line 2: 5 cells, but 3 titles"),
         (("t,q,tau", '0.5,0.1,"1,234"'), {}, "expected a number in Nm, got '1,234'"),
         (("t,q [lb],tau", "1,2,3"), {}, "unit 'lb' of angle is not known; there are rad"),
+        (("t,q,tau [MNm]", "1,2,3"), {}, "unit 'MNm' of torque is not known"),
         (("t,q [deg],tau", "1,2,3"), {"units": {"angle": "rad"}}, "its unit is not the given one"),
         (("t,q,q,tau", "1,2,3,4"), {}, "several columns are called 'q'"),
         (("t,q,tau", "1,1_0,3"), {}, "line 2, column 'q': expected a number in rad, got '1_0'"),

@@ -167,6 +167,9 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     few = health._replace(claimed=0.18, bases={Basis.CERTIFIED: 0.18, Basis.CONTRADICTED: 0.05})
     assert summarise(metrics, few, nothing, timing).level is Level.WARN
     fitting = health._replace(hypothesis=Hypothesis.AS_DESIGNED)
+    outside = fitting._replace(bases={Basis.OUTSIDE: 0.41, Basis.CERTIFIED: 0.59}).misfit
+    assert outside
+    assert outside.startswith("for 41 % of the time the link's angle is outside of x_max")
     misfit = fitting._replace(bases={Basis.CONTRADICTED: 0.96})
     said = ["behave as designed" in "".join(one.lines()) for one in (fitting, misfit)]
     assert said == [True, False]

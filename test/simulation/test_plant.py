@@ -359,6 +359,7 @@ def test_process_noise_has_the_stated_density() -> None:
             r"outputs\[1\]: link_angle is listed already",
         ),
         (lambda: Plant(QUIET, -1), "seeds: expected integers of at least 0"),
+        (lambda: Plant(QUIET, 1.5), "seeds: expected integers of at least 0"),
     ],
 )
 def test_senseless_numbers_are_refused(make: Callable[[], object], complaint: str) -> None:

@@ -263,7 +263,8 @@ class _Motions:
             scale = min(scale, self.limits.angle)
             if scale < _SMALLEST:
                 raise ModelError(
-                    f"limits: expected room for a motion of {_SMALLEST:g} rad, got {self.limits}"
+                    f"limits: expected room for a motion of {_SMALLEST:g} rad, which --max-torque "
+                    f"or another limit prevents, got {self.limits}"
                 )
         return torque, Limits(*reached.tolist())
 

@@ -151,7 +151,9 @@ class TSFlow(Flow):
         self.model, n = model, model.state_count
         densities = as_matrix("process_noise", process_noise, (n,))
         if (densities < 0.0).any():
-            raise ModelError(f"process_noise: expected densities of at least 0, got {[*densities]}")
+            raise ModelError(
+                f"process_noise: expected densities of at least 0, got {densities.tolist()}"
+            )
         self.scheduled_count = int(model.schedule.shape[1])
         self.rule_counts = model.rule_count, len(model.premise)
         mean = sum(model.rates[1:], start=model.rates[0]) / model.rule_count

@@ -71,9 +71,10 @@ class Column(NamedTuple):
 
 
 def plain_unit(text: str) -> str:
-    """Return a unit in a form to compare: without signs of products, in lower case."""
+    """Return a unit in a form to compare: without signs of products, in lower case but for mega."""
     text = re.sub(r"[\s.*·⋅-]", "", text)
-    return text.replace("°", "deg").replace("µ", "u").replace("μ", "u").lower()
+    text = text.replace("°", "deg").replace("µ", "u").replace("μ", "u")
+    return text if re.match("M(Nm|s|rad|deg)", text) else text.lower()
 
 
 @contextmanager

@@ -115,6 +115,13 @@ class Health(NamedTuple):
             )
         if wrong < _OFTEN:
             return None
+        outside = self.bases.get(Basis.OUTSIDE, 0.0)
+        if 2.0 * outside >= wrong:
+            return (
+                f"for {100.0 * outside:.0f} % of the time the link's angle is outside of x_max, "
+                "where no bound holds: a larger x_max in the request would include it, unless the "
+                "angle's zero is not the link hanging down"
+            )
         shares = {one: share for one, share in self.hypotheses.items() if one}
         likeliest = max(shares, key=shares.__getitem__, default=Hypothesis.AS_DESIGNED)
         # A hypothesis about the sensor is no cause if most of these bounds are void all the same.
@@ -213,12 +220,18 @@ def find_events(
     """
     log, found = EventLog(source, COAST_AFTER, stale_after), list[JointEvent]()
     restarted = np.zeros(len(health.stamps), bool) if restarted is None else restarted
-    series = health.stamps, health.log_times, health.values, restarted
-    for stamp, log_time, row, is_restarted in zip(*(x.tolist() for x in series), strict=True):
+    stamps, log_times = health.stamps.tolist(), health.log_times.tolist()
+    rows = zip(health.values.tolist(), restarted.tolist(), strict=True)
+    for place, (row, is_restarted) in enumerate(rows):
         if is_restarted:
             log.restart()
         if row[0] == row[0]:
-            for event in log.update(Estimate.of_health(stamp, row)):
-                before = stamp - event.stamp if same_clock else 0
-                found.append(JointEvent(joint, log_time - before, event))
+            for event in log.update(Estimate.of_health(stamps[place], row)):
+                log_time, before = log_times[place], place
+                if same_clock:
+                    # Stamps may leap where log times do not: count from the row before the event.
+                    while before > 0 and stamps[before] > event.stamp:
+                        before -= 1
+                    log_time = min(log_time, log_times[before] + event.stamp - stamps[before])
+                found.append(JointEvent(joint, log_time, event))
     return sorted(found, key=attrgetter("log_time"))

@@ -435,7 +435,7 @@ class Plant:
     def __init__(self, scenario: PlantScenario, seeds: int | Sequence[int] = 0) -> None:
         self._is_batch = not isinstance(seeds, int | np.integer)
         self._seeds = runs = np.atleast_1d(np.asarray(seeds, np.object_)).tolist()
-        if not runs or min(runs) < 0:
+        if not runs or not all(isinstance(one, int | np.integer) and one >= 0 for one in runs):
             raise ModelError(f"seeds: expected integers of at least 0, at least one, got {seeds!r}")
         self.index = 0
         self._motion, rate = scenario.motion(runs), scenario.rate

@@ -77,6 +77,9 @@ def test_a_joint_waits_tracks_coasts_and_is_stale() -> None:
         assert (state.level, state.message) == (level, phase)
         assert state.values["measurement age [s]"] == f"{age * 1e-9:.4f}"
         assert (joints[0].estimate(last + age) is None) == (phase == "STALE")
+    found = statuses(joints, last + age)
+    assert found["innovation"][1:3] == (Level.STALE, "at last: as large as designed")
+    assert found["measurements"].level == Level.OK
 
 
 def test_the_node_is_as_bad_as_its_worst_joint() -> None:

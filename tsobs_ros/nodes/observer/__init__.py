@@ -70,6 +70,7 @@ _MAX_SHARE = 0.4
 _MAX_BACKLOG = 0.05
 # The highest rate of one node [Hz]; a design may have a higher one.
 _FASTEST = 2000.0
+_DISABLED = "disabled: nothing is published until ~/enable"
 # Looks for measurements per period of the fastest design, with `publish_on: measurement`.
 _LOOKS = 8
 
@@ -133,6 +134,8 @@ class Observer(ManagedNode[ObserverParameters]):
         self._measurements.discard()
         self._publish_record()
         self._restart("activated again" if self._resets >= 0 else "")
+        if not self._enabled:
+            self.log(Level.WARN, _DISABLED)
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
@@ -234,24 +237,33 @@ class Observer(ManagedNode[ObserverParameters]):
         self._record.publish(String(data=text))
 
     def _on_reset(self) -> str:
+        if not self.active:
+            return "inactive: each activation restarts"
         # Messages received before the reset must not be used after it.
         self._measurements.discard()
         self._restart("reset service")
         return "restarted"
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if request.data and not self._enabled:
-            self._measurements.discard()
-            self._restart("enabled")
+        if request.data != self._enabled and self.active:
+            if request.data:
+                self._measurements.discard()
+                self._restart("enabled")
+            else:
+                self.log(Level.WARN, _DISABLED)
         self._enabled = request.data
-        response.success = True
-        response.message = "enabled" if request.data else "disabled: nothing is published"
+        response.success, response.message = True, "enabled" if request.data else _DISABLED
         return response
 
     def _statuses(self) -> list[Status]:
         if not self.active:
             return [Status("state", Level.WARN, "INACTIVE", {})]
-        now = self.now()
+        timing, now = self._meter.status(), self.now()
+        if now == 0:
+            text = "waiting for /clock: use_sim_time is set, and nothing publishes the time"
+            if self.is_due("clock"):
+                self.log(Level.WARN, text)
+            return [Status("state", Level.WARN, text, {}), timing]
         for joint in self.joints:
             self._log(joint, joint.count())
             if joint.newly[FAILURES]:
@@ -265,7 +277,6 @@ class Observer(ManagedNode[ObserverParameters]):
                     text = f"{output} is missing: expected {place.described}; the newest message: "
                     text += f"{newest}; estimation goes on without it"
                     self.log(Level.WARN, f"{joint.name}: {text}")
-        timing = self._meter.status()
         return statuses_of(self.joints, timing, now, resets=self._resets, enabled=self._enabled)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from tsobs_ros.design.file import identity
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation.events import NOISY, EventKind
-from tsobs_ros.estimation.health import LastMinute, Level, Status, lasting
+from tsobs_ros.estimation.health import LastMinute, Level, Phase, Status, lasting
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import CERTIFIED
 from tsobs_ros.nodes.observer.joints import FAILURES, ObservedJoint
@@ -27,7 +27,7 @@ def statuses_of(
     joints: Sequence[ObservedJoint], timing: Status, now: int, *, resets: int, enabled: bool
 ) -> list[Status]:
     """Return the node's and its joints' statuses at a time [ns], with joint names if several."""
-    each = [_joint_statuses(joint, now) for joint in joints]
+    each = [_joint_statuses(joint, now, enabled) for joint in joints]
     state = max((own[0] for own in each), key=lambda status: status.level)
     state = state._replace(values={"resets": str(resets), **state.values})
     if not enabled:
@@ -42,12 +42,11 @@ def statuses_of(
     ]
 
 
-def _joint_statuses(joint: ObservedJoint, now: int) -> list[Status]:
+def _joint_statuses(joint: ObservedJoint, now: int, enabled: bool) -> list[Status]:
     names = joint.request.output_names
     faults = zip(joint.faults.faults, joint.signals.units, names, strict=True)
+    first = [_state_status(joint, now), _measurement_status(joint)]
     statuses = [
-        _state_status(joint, now),
-        _measurement_status(joint),
         _domain_status(joint),
         _innovation_status(joint),
         *(fault.status(now, unit, name * (len(names) > 1)) for fault, unit, name in faults),
@@ -64,7 +63,11 @@ def _joint_statuses(joint: ObservedJoint, now: int) -> list[Status]:
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
         message = "learnt" if estimate.parameters_valid else "not yet: the motion is too poor"
         statuses.append(Status("parameters", Level.OK, message, values))
-    return statuses
+    if not enabled or joint.phase(now) is Phase.STALE:  # what was, as nothing is estimated
+        statuses = [
+            one._replace(level=Level.STALE, message=f"at last: {one.message}") for one in statuses
+        ]
+    return first + statuses
 
 
 def _state_status(joint: ObservedJoint, now: int) -> Status:
@@ -112,7 +115,7 @@ def _measurement_status(joint: ObservedJoint) -> Status:
 
 def _innovation_status(joint: ObservedJoint) -> Status:
     """Return the scale of the noise, and the events of the last minute."""
-    level, message, values = Level.OK, "consistent with the design", dict[str, str]()
+    level, message, values = Level.OK, "as large as designed", dict[str, str]()
     if (estimate := joint.latest) is not None:
         values["noise scale"] = f"{estimate.noise_scale:.3f}"
         values["coloured power"] = f"{estimate.coloured_power:.3f}"
