@@ -424,6 +424,16 @@ def test_friction_of_the_link_is_not_taken_for_friction_of_the_motor() -> None:
     assert compared(request, run)[[0, 2]].max() < 1.4
 
 
+def test_a_tone_of_the_slower_of_two_encoders_is_found() -> None:
+    bias = (DisturbanceTerm("bias", {"density": 1e-6, "initial_std": 0.05}),)
+    encoders = (Output("motor_angle", 0.002), Output("link_angle", 0.005, bias))
+    request = ArmRequest(outputs=encoders)
+    tone = Sinusoid(amplitude=0.05, frequency=3.0, start=10.0)
+    run = ts.simulate(request, duration=60.0, seed=0, disturbance={"link_angle": [tone]})
+    run.angle[np.arange(len(run.time)) % 4 > 0, 1] = math.nan
+    assert compared(request, run).max() < 0.6
+
+
 def test_hits_are_found_by_encoders_whose_samples_alternate() -> None:
     bias = (DisturbanceTerm("bias", {"density": 1e-6, "initial_std": 0.05}),)
     encoders = (Output("motor_angle", 0.002, bias), Output("link_angle", 0.005, bias))

@@ -449,6 +449,7 @@ static void update_tones(const model *m, const state *at, const correction *effe
         }
         of.recent[0] += clip((shown - dot(row, x, m->s.n)) / std, -3.0, 3.0);
         of.recent[1] += (dot(row, x, m->s.plant) - dot(row, at->centre, m->s.plant)) / std;
+        *of.interval = *of.since;
         *of.recent_time += maximum(*of.since, *m->period);
         *of.recent_counted += counted_time(m, *of.since);
         if (*of.recent_time * lowest_tone(m) < 0.015) {
@@ -536,7 +537,7 @@ static int is_of_motion(const model *m, const sensor *of, long output, long plac
 static void find_tones(const model *m, const state *at, long output, tone *found)
 {
     const sensor of = sensor_of(m, at, output);
-    const double share = share_of(counted_time(m, *of.since), m->constants[AWAKE]);
+    const double share = share_of(counted_time(m, *of.interval), m->constants[AWAKE]);
     const double step = m->constants[TONE_RATIO];
     const double std = innovation_std(m, at, output);
     double loud[TONES + 2] = {0.0}; /* with 0 beyond both ends */
@@ -564,9 +565,9 @@ static void find_tones(const model *m, const state *at, long output, tone *found
     }
 }
 
-/* Four times per trial, propose the loudest tone of all outputs. If one tone alone has failed, add
+/* Four times per trial, propose the loudest tone of all outputs that have samples. If one tone alone has failed, add
  * the output's second one, unless the window or clipping may have made it from the loudest. */
-static void propose_tones(const model *m, state *at, const correction *effect)
+static void propose_tones(const model *m, state *at)
 {
     const tone none = {m->constants[TONE_SIGN], 0.0, 0.0};
     tone tones[3] = {none};
@@ -576,7 +577,8 @@ static void propose_tones(const model *m, state *at, const correction *effect)
     }
     for (long i = 0; i < m->s.p; i++) {
         tone own[3] = {none, none, {0.0, 0.0, 0.0}};
-        if (effect->present[i]) {
+        const sensor of = sensor_of(m, at, i);
+        if (*of.since <= maximum(*of.interval, 0.25 * m->constants[TRIAL])) {
             find_tones(m, at, i, own);
         }
         if (own[0].power > tones[0].power) {
@@ -1147,7 +1149,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
             }
         }
     }
-    propose_tones(m, at, effect);
+    propose_tones(m, at);
     compare(m, at); /* the best one may have been a tone that ends, or not finite */
     suppose_otherwise(m, at);
     deactivate_bank(m, at);

@@ -132,6 +132,7 @@ int sizes_are_sound(const int64_t *numbers);
     F(NUMBER, previous, 1, 1)      /* previous innovation, from which noise_scale is learnt */ \
     F(COUNT, paired, 1, 1)         /* kind of `previous`: REGULAR, OUTLIER, or 0 for none */   \
     F(NUMBER, since, 1, 1)         /* time since the output's last sample [s] */               \
+    F(NUMBER, interval, 1, 1)      /* time between its last two samples while awake [s] */     \
     F(MATRIX, tones, TONES, 4)     /* phasors of innovations and motion at each frequency */   \
     F(VECTOR, recent, 2, 1)        /* sums of the newest of both, not in `tones` yet */        \
     F(NUMBER, recent_time, 1, 1)   /* time that `recent` spans [s] */                          \
