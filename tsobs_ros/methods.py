@@ -86,7 +86,7 @@ class ObserverSettings:
     )
     torque_rate: float = setting(
         TORQUE_RATE,
-        "1 sigma of the torque's rate while no measurement comes; 0: the last torque holds",
+        "1 sigma of the torque's rate while no measurement comes; 0: the last one holds",
         unit="N m/s",
         minimum=0.0,
         maximum=1e6,

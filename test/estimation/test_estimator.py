@@ -65,7 +65,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 DIGESTS = {
     "supervised arm": "aad84ba77394033b",
-    "pendulum": "7d3c08f11b4a7227",
+    "pendulum": "c04b162f32c968ec",
     "proportional": "770de7dfd97e1b18",
     "proportional-integral": "ad4c24c02e1d2d1b",
     "paper": "719788784b4300d9",

@@ -1219,8 +1219,10 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
     const int is_late = between_samples && !regular && known && *best.certified != 0
                         && *best.corrected != 0 && duration <= 2.0 * *m->period
                         && *m->late_factor >= 1.0;
+    /* A system's input may be held until a second sample is lost; `coast` steps over both. */
+    const double longest = *m->design_flow.kind == KIND_SYSTEM ? 1.9 * *m->period : *m->longest;
     const int in_gap = *m->torque_rate > 0.0 && *m->gain_mode != GAIN_OPEN && !is_late
-                       && (*at->in_gap != 0 || !known || duration > *m->longest);
+                       && (*at->in_gap != 0 || !known || duration > longest);
     const double age = known ? *at->since : minimum(*at->torque_age, *at->age);
     const double rate = in_gap ? *m->torque_rate : 0.0;
     course along = course_over(m, duration, rate * rate * (2.0 * age + duration), scratch);

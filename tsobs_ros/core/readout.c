@@ -231,6 +231,9 @@ int read_out(const model *m, const state *at, const estimate *row, work *scratch
             scratch, count);
     }
     *row->basis = (double)basis_of(m, &best, named, row->claimed);
+    if (*at->in_gap != 0 && *m->design_flow.kind == KIND_SYSTEM) {
+        *row->claimed = 0.0; /* inputs are unknown, and so is how much they move */
+    }
     *row->noise_scale = scale_of(m, at);
     *row->coloured_power = *best.colour;
     total += *row->noise_scale + *row->coloured_power;

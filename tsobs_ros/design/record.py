@@ -155,6 +155,7 @@ class Design:
             settle_time: Riccati gains are used for this long after a (re)start [s].
             gain_mode: "certified" if the certified gain takes over afterwards, else "riccati".
             torque_rate: 1σ of the rate at which an arm's torque may move in a gap [N m/s].
+                Of a system, only whether it is 0 matters: then inputs are held, and bounds claimed.
             adapt: Whether to learn the parameters that the request calls uncertain, if any.
             supervision: Rules for leaving out samples, output by output; None: all are used.
         """

@@ -358,7 +358,8 @@ def certified_estimator(
         settle_time: Least duration of the Riccati phase [s].
         gain_mode: "certified" if the certified gain may take over, else "riccati".
         torque_rate: 1σ of the rate at which an arm's torque may move in a gap, which is a step
-            longer than a regular one [N m/s]; 0: it is held.
+            longer than a regular one [N m/s]; 0: it is held. Unless it is 0, a system's first input
+            may move by `force` per second, after a lost sample.
         domain: 1σ of the plant's states if nothing is known of them, in physical units, shape
             (plant,); raised to the initial 1σ if smaller.
 
@@ -369,8 +370,8 @@ def certified_estimator(
     estimator = riccati_estimator(flow, *covariances, uncertainty, auxiliary=True)
     one, (n, plant, p, *_) = estimator.model[0], estimator.shape
     one["late_factor"] = late_factor
+    one["torque_rate"] = non_negative("torque_rate", torque_rate)
     if isinstance(flow, ArmFlow):
-        one["torque_rate"] = non_negative("torque_rate", torque_rate)
         share = one["constants"][CONSTANTS["FORCE_SHARE"]]
         force, one["modes"] = share * flow.arm.reference_torque, flow.arm.modes
         # Sensors that have a disturbance do not show on which side a force acts.
@@ -388,7 +389,8 @@ def certified_estimator(
             one["constants"][CONSTANTS[name]] = value
         if flow.input_count > flow.scheduled_count:
             initial_std = np.sqrt(np.diag(initial_covariance)[:plant])
-            one["force"] = _unknown_input(flow, initial_std), 0.0
+            one["force"][0] = _unknown_input(flow, initial_std)
+        one["torque_rate"] = one["force"][0] if torque_rate else 0.0
     one["initial"]["hypotheses"][0]["settling"] = non_negative("settle_time", settle_time)
     one["domain"] = np.sqrt(np.diag(initial_covariance)[:plant])
     if domain is not None:
