@@ -17,7 +17,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
-from tsobs_ros.estimation.estimator import GAIN_MODES, TORQUE_RATE, Estimator, SupervisionOptions
+from tsobs_ros.estimation.estimator import GAIN_MODES, Estimator, SupervisionOptions
 from tsobs_ros.estimation.events import STALE_AFTER
 from tsobs_ros.estimation.tracker import Tracker, require_steps
 from tsobs_ros.files import write_whole
@@ -85,8 +85,8 @@ class ObserverSettings:
         5.0, "Least time with Riccati gains after a start", unit="s", minimum=0.0, maximum=600.0
     )
     torque_rate: float = setting(
-        TORQUE_RATE,
-        "1 sigma of the torque's rate while no measurement comes; 0: the last one holds",
+        0.0,
+        "1 sigma of the torque's rate in gaps; 0: a tenth of the arm's usual torque per second",
         unit="N m/s",
         minimum=0.0,
         maximum=1e6,

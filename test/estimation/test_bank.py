@@ -569,6 +569,20 @@ def test_an_implausible_torque_is_a_gap_and_its_angle_is_used(
     assert got.found == {}
 
 
+def test_an_arm_of_any_size_is_estimated_alike_also_in_gaps() -> None:
+    found = []
+    for size in (1.0, 128.0):
+        arm = ElasticJointArm(size, 2.0 * size, 10.0 * size, 10.0 * size)
+        design = synthesise(ArmRequest(arm))
+        run = ts.simulate(design, duration=15.0, torque=lambda t, size=size: size * math.sin(t))
+        torque = np.where(run.time % 5.0 > 4.0, math.nan, run.torque)
+        angle = np.where(run.time % 7.0 > 6.0, math.nan, run.angle)
+        found.append(ts.estimate(design, run.time, angle, torque))
+    for name in ("state", "state_bound", "disturbance", "claimed", "hypothesis"):
+        one, other = (getattr(each, name) for each in found)
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-6)
+
+
 @both
 def test_a_torque_that_was_never_known_is_not_taken_for_zero(name: str) -> None:
     """Else the arm's swing is taken for a tone of the sensor, with claimed bounds that break."""

@@ -15,7 +15,6 @@ from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.design.signals import labelled
 from tsobs_ros.errors import ModelError, printable
 from tsobs_ros.estimation.estimator import (
-    TORQUE_RATE,
     Estimator,
     SupervisionOptions,
     certified_estimator,
@@ -144,7 +143,7 @@ class Design:
         self,
         settle_time: float = 5.0,
         gain_mode: str = "certified",
-        torque_rate: float = TORQUE_RATE,
+        torque_rate: float = 0.0,
         *,
         adapt: bool = False,
         supervision: SupervisionOptions | None = None,
@@ -154,8 +153,8 @@ class Design:
         Args:
             settle_time: Riccati gains are used for this long after a (re)start [s].
             gain_mode: "certified" if the certified gain takes over afterwards, else "riccati".
-            torque_rate: 1σ of the rate at which an arm's torque may move in a gap [N m/s].
-                Of a system, only whether it is 0 matters: then inputs are held, and bounds claimed.
+            torque_rate: 1σ of the rate at which an arm's torque, or a system's first input, may
+                move in a gap [N m/s]; 0: that of `certified_estimator`.
             adapt: Whether to learn the parameters that the request calls uncertain, if any.
             supervision: Rules for leaving out samples, output by output; None: all are used.
         """
@@ -170,7 +169,7 @@ class Design:
             late_factor=self.late_factor,
             settle_time=settle_time,
             gain_mode=gain_mode,
-            torque_rate=torque_rate,
+            torque_rate=torque_rate or None,
             uncertainty=learnt,
             domain=request.reach,
         )

@@ -28,8 +28,8 @@ PERIOD_TOLERANCE = 0.1
 It allows for jitter about the period. If a sensor is always 10 % slow, bounds are 2 % too small.
 """
 
-TORQUE_RATE = 1.0
-"""Default 1σ of an arm's torque rate in a gap [N m/s]."""
+_TORQUE_RATE = 0.1
+"""Default 1σ of the rate at which an arm's torque may move in a gap, per reference torque [1/s]."""
 
 LEARNING = {
     "random_walk": 1e-6,  # growth of each θ's variance, which keeps the gain alive [1/s]
@@ -344,7 +344,7 @@ def certified_estimator(
     late_factor: float = math.nan,
     settle_time: float = 5.0,
     gain_mode: str = "certified",
-    torque_rate: float = 0.0,
+    torque_rate: float | None = 0.0,
     uncertainty: Uncertainty | None = None,
     domain: Array | None = None,
 ) -> Estimator:
@@ -357,9 +357,9 @@ def certified_estimator(
             if none is known.
         settle_time: Least duration of the Riccati phase [s].
         gain_mode: "certified" if the certified gain may take over, else "riccati".
-        torque_rate: 1σ of the rate at which an arm's torque may move in a gap, which is a step
-            longer than a regular one [N m/s]; 0: it is held. Unless it is 0, a system's first input
-            may move by `force` per second, after a lost sample.
+        torque_rate: 1σ of the rate at which an arm's torque, or a system's first input, may move
+            in a gap [N m/s]; 0: it is held; None: a tenth of the arm's reference torque per second,
+            or a system's unknown input per second.
         domain: 1σ of the plant's states if nothing is known of them, in physical units, shape
             (plant,); raised to the initial 1σ if smaller.
 
@@ -370,10 +370,10 @@ def certified_estimator(
     estimator = riccati_estimator(flow, *covariances, uncertainty, auxiliary=True)
     one, (n, plant, p, *_) = estimator.model[0], estimator.shape
     one["late_factor"] = late_factor
-    one["torque_rate"] = non_negative("torque_rate", torque_rate)
     if isinstance(flow, ArmFlow):
         share = one["constants"][CONSTANTS["FORCE_SHARE"]]
-        force, one["modes"] = share * flow.arm.reference_torque, flow.arm.modes
+        usual, one["modes"] = flow.arm.reference_torque, flow.arm.modes
+        force, rate = share * usual, _TORQUE_RATE * usual
         # Sensors that have a disturbance do not show on which side a force acts.
         at_motor, at_link = force, one["is_clean"] * _LINK_SHARE * force
         explains_motor, explains_link = (bool(each.any()) for each in flow.torques)
@@ -390,7 +390,8 @@ def certified_estimator(
         if flow.input_count > flow.scheduled_count:
             initial_std = np.sqrt(np.diag(initial_covariance)[:plant])
             one["force"][0] = _unknown_input(flow, initial_std)
-        one["torque_rate"] = one["force"][0] if torque_rate else 0.0
+        rate = one["force"][0]
+    one["torque_rate"] = rate if torque_rate is None else non_negative("torque_rate", torque_rate)
     one["initial"]["hypotheses"][0]["settling"] = non_negative("settle_time", settle_time)
     one["domain"] = np.sqrt(np.diag(initial_covariance)[:plant])
     if domain is not None:
