@@ -109,6 +109,14 @@ def test_a_motor_has_its_own_column_whichever_side_the_design_measures(tmp_path)
         assert source.samples.y.item() == angle
 
 
+@pytest.mark.parametrize("title", ["motor_angle", "angle", "position.elbow"])
+def test_a_motor_without_its_own_entry_has_the_joints(tmp_path, title: str) -> None:
+    torque = "effort.elbow" if "." in title else "torque"
+    source = LogSource(log(tmp_path, f"time,{title},{torque}", "1,2,3"))
+    source.observe([ArmRequest(outputs=(Output("motor_angle", 0.001),))])
+    assert (source.samples.y.item(), source.samples.u.item()) == (2.0, 3.0)
+
+
 def test_several_joints_have_columns_of_their_own(tmp_path) -> None:
     lines = ("t,q.a,q.b,tau.a,tau.b", "1,2,3,4,5")
     path = log(tmp_path, *lines)

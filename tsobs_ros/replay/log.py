@@ -164,7 +164,9 @@ class LogSource(BagSource):
             titled = request.signals(name, self.alone, name in self._motor_titles)
             entries = [place.name for place in titled.outputs]
             outputs = zip(request.output_names, own.outputs, entries, strict=True)
-            torques = [("torque", one, one.name) for one in (*own.inputs, *own.other_inputs)]
+            # An entry of the motor would be read as its sensor's, too.
+            others = () if own.other_outputs else own.other_inputs
+            torques = [("torque", one, one.name) for one in (*own.inputs, *others)]
             side, _, kind = sensor.partition("_")
             entry = f"{name}_motor" if side == "motor" else name
             held_out = [(sensor, Place(entry, _FIELDS[kind]), name)] if sensor else []
