@@ -120,8 +120,8 @@ int main(int count, char **arguments)
             continue;
         }
         read_numbers(line, numbers, 1 + p + m);
-        if (!(fabs(numbers[0]) < 9e9)) {
-            quit(arguments[2], "expected each line to begin with a time");
+        if (!(0.0 < numbers[0] && numbers[0] < 9e9)) {
+            quit(arguments[2], "expected each line to begin with a time above 0");
         }
         stamp = (int64_t)llrint(numbers[0] * 1e9);
         now = stamp > now ? stamp : now;

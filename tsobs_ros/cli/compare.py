@@ -60,7 +60,11 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run observers over scenarios or a recording, and compare them."""
-    given, what = (_OF_SCENARIOS, "scenarios") if options.bag else (_OF_RECORDINGS, "a recording")
+    given, what = (
+        (_OF_SCENARIOS, "scenarios, not for a recording")
+        if options.bag
+        else (_OF_RECORDINGS, "a recording")
+    )
     for name in given:
         if getattr(options, name):
             raise ParameterError(f"--{name.replace('_', '-')}: is for {what}")

@@ -62,9 +62,9 @@ def make_bag_report(
     from tsobs_ros.report.figures import draw_run
     from tsobs_ros.report.page import write_html
 
+    source = BagSource(bag, topic=topic, joints=[joint] if joint else ())
     files = [output / f"report.{kind}" for kind in ("png", "html", "json")]
     require_new(files, force=force)
-    source = BagSource(bag, topic=topic, joints=[joint] if joint else ())
     given = [] if design is None else [design]
     ((used, *others),) = source.choose_designs(given, others_allowed=other_design).values()
     if others:

@@ -175,10 +175,10 @@ def _drawn(plot: Plot, picture: Picture, identity: str) -> dict[str, Any]:
 
 
 def _traces(plot: Plot) -> Iterator[dict[str, Any]]:
-    for band in plot.bands:
+    for band, swatch in zip(plot.bands, _SWATCHES, strict=False):
         x, y = _outline(band)
         fill = {"fill": "toself", "fillcolor": "rgba(0, 114, 178, 0.15)", "hoverinfo": "skip"}
-        yield _trace(band.name, x, y, line={"width": 0}, **fill) | _switch(band.name, "#9cc6e0")
+        yield _trace(band.name, x, y, line={"width": 0}, **fill) | _switch(band.name, swatch)
     for curve in plot.curves:
         colour, width, dash = curve.style
         look: dict[str, Any] = {"line": {"color": colour, "width": width, "dash": _DASHES[dash]}}
@@ -188,6 +188,7 @@ def _traces(plot: Plot) -> Iterator[dict[str, Any]]:
         yield trace | (_switch(curve.name, colour) if curve.name in STYLES else {})
 
 
+_SWATCHES = "#cfe4f0", "#8dbcd9"  # of a wider band and a narrower one, which lies on it
 _DASHES = {"-": "solid", "--": "dash", ":": "dot", ".": "solid"}
 
 

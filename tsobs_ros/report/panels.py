@@ -326,7 +326,7 @@ def _of_quantity(
     one, times = run.of(quantity), run.times
     curves: list[Curve] = []
     wrong = [thinned_curve("true", times[[0, -1]], np.zeros(2), max_gap=math.inf)]
-    edges = _quantiles(one.values, 0.01, 0.99)
+    edges = _quantiles(one.values, 0.002, 0.998)
     for sign in (-SIGMAS, SIGMAS):
         edges += _quantiles(one.values + sign * one.bounds, 0.1, 0.9)
     place = measured_states(run.request).get(quantity.key)
