@@ -774,8 +774,9 @@ static void judge_repeats(const model *m, state *at, correction *effect)
         }
         const double own = (double)*of.repeats;
         is_found |= before < sure && sure <= own;
-        repeats = before < own && own < sure && hides_steps(&of, noise) ? maximum(repeats, own)
-                                                                        : repeats;
+        /* A message without the output says nothing about its repetitions. */
+        const int go_on = effect->present[i] ? before < own : own > 0.0;
+        repeats = go_on && own < sure && hides_steps(&of, noise) ? maximum(repeats, own) : repeats;
     }
     while (find_live(m, at, &place, &h) && *h.fork != STUCK) {
         place++;
