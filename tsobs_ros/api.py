@@ -18,7 +18,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.health import judge_rate, rate_of
-from tsobs_ros.estimation.records import HEALTH, USED, Basis, RejectReason
+from tsobs_ros.estimation.records import HEALTH, USED, Basis, RejectReason, rejections
 from tsobs_ros.estimation.state import types_of
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import METHODS, ObserverSettings, given_or_default, make_tracker
@@ -296,7 +296,7 @@ def estimate(
         )
     off, text = judge_rate(rate_of(stamps), request.rate)
     health = health_of(np.column_stack([made.rows[name] for name in HEALTH]), tracker)
-    reasons = ", ".join(_rejected(outcomes))
+    reasons = ", ".join(reason.text for reason in rejections(outcomes))
     misfit = health.misfit if health else f"no estimate was made; rejected: {reasons}"
     _warn(text if off else None, misfit)
     innovations = made.outcomes.innovations
@@ -487,10 +487,6 @@ def _components(disturbance: Disturbance) -> list[Any]:
     return [changed(KINDS[k](), disturbance[k]) for k in kinds]
 
 
-def _rejected(outcomes: Mapping[int, int]) -> dict[str, int]:
-    return {reason.text: outcomes[reason] for reason in RejectReason if outcomes.get(reason)}
-
-
 def _estimates(
     request: AnyRequest,
     tracker: Tracker,
@@ -498,7 +494,7 @@ def _estimates(
     rows: Any,
     innovation_time: Array,
     innovations: Array,
-    outcomes: Mapping[int, int],
+    outcomes: Counter[int],
 ) -> Estimates:
     """Return estimates as plain arrays, with a column per output but of an arm with only one."""
     estimator, used = tracker.estimator, np.isfinite(innovations).any(axis=1)
@@ -519,8 +515,8 @@ def _estimates(
         time=time,
         innovation=kept,
         innovation_time=innovation_time[used],
-        used=outcomes.get(USED, 0),
-        rejected=_rejected(outcomes),
+        used=outcomes[USED],
+        rejected={reason.text: count for reason, count in rejections(outcomes).items()},
         **{item.name: columns[item.name] for item in fields(Estimates) if item.name in columns},
     )
 

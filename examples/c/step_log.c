@@ -39,6 +39,7 @@ static void *read_file(const char *name, size_t *bytes)
     FILE *file = fopen(name, "rb");
     long size = -1;
     void *content;
+    /* A folder can be opened, but not read. */
     if (file != NULL && getc(file) != EOF && fseek(file, 0, SEEK_END) == 0) {
         size = ftell(file);
     }

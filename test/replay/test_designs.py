@@ -276,6 +276,9 @@ def test_a_bag_that_names_no_joint_is_refused(design: Design, write_bag, capsys)
     assert "no message of /joint_measurements names a joint" in capsys.readouterr().err
     with pytest.raises(BagReadError, match="names a joint"):
         ts.estimate_bag(bag, design)
+    bag = write_bag([("/joint_measurements", b"", START)], "rubbish")
+    with pytest.raises(BagReadError, match=r"/joint_measurements: 0 bytes, .* not plain little"):
+        BagSource(bag)
 
 
 def test_only_the_joints_that_designs_name_are_estimated(arms, write_bag, capsys) -> None:

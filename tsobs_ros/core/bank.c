@@ -565,8 +565,9 @@ static void find_tones(const model *m, const state *at, long output, tone *found
     }
 }
 
-/* Four times per trial, propose the loudest tone of all outputs that have samples. If one tone alone has failed, add
- * the output's second one, unless the window or clipping may have made it from the loudest. */
+/* Four times per trial, propose the loudest tone of all outputs that have samples. If one tone alone
+ * has failed, add the output's second one, unless the window or clipping may have made it from the
+ * loudest. */
 static void propose_tones(const model *m, state *at)
 {
     const tone none = {m->constants[TONE_SIGN], 0.0, 0.0};

@@ -59,11 +59,14 @@ static long weigh(const model *m, const state *at, work *scratch)
     return count;
 }
 
-/* Return the basis of the bounds if a kind is named; write whether they are claimed to hold. */
-static int64_t basis_of(const model *m, const hypothesis *best, int64_t named, double *claimed)
+/* Return the basis of the bounds if a kind is named; write whether they are claimed to hold. They
+ * are not while a system's inputs are unknown, and so is how much they move. */
+static int64_t basis_of(
+    const model *m, const state *at, const hypothesis *best, int64_t named, double *claimed)
 {
     const int is_void = is_contradicted(m, best);
-    *claimed = !is_void && *m->gain_mode != GAIN_OPEN;
+    const int is_blind = *at->in_gap != 0 && *m->design_flow.kind == KIND_SYSTEM;
+    *claimed = !is_void && !is_blind && *m->gain_mode != GAIN_OPEN;
     if (is_void) {
         return BASIS_CONTRADICTED;
     }
@@ -230,10 +233,7 @@ int read_out(const model *m, const state *at, const estimate *row, work *scratch
             m, at, PARAMETER, i, 0.0, 1.0, row->parameters + i, row->parameter_bound + i,
             scratch, count);
     }
-    *row->basis = (double)basis_of(m, &best, named, row->claimed);
-    if (*at->in_gap != 0 && *m->design_flow.kind == KIND_SYSTEM) {
-        *row->claimed = 0.0; /* inputs are unknown, and so is how much they move */
-    }
+    *row->basis = (double)basis_of(m, at, &best, named, row->claimed);
     *row->noise_scale = scale_of(m, at);
     *row->coloured_power = *best.colour;
     total += *row->noise_scale + *row->coloured_power;

@@ -549,9 +549,9 @@ class ArmRequest(Request):
         link, motor, names = f"{joint}_link", f"{joint}_motor", self.output_names
         sides = [name.partition("_")[0] for name in names]
         both = both_sides or len(set(sides)) == 2
-        entries = [motor if both and side == "motor" else joint for side in sides]
-        fields: list[Field] = ["position" if name in ANGLES else "velocity" for name in names]
         own = [motor if side == "motor" else joint for side in sides]
+        entries = own if both else [joint] * len(own)
+        fields: list[Field] = ["position" if name in ANGLES else "velocity" for name in names]
         return Signals(
             tuple(map(Place, entries, fields)),
             (Place(joint, "effort"),),

@@ -49,6 +49,11 @@ class RejectReason(Code):
     UNKNOWN_INPUT = 10, "unknown input", "publish numbers to have narrower bounds"
 
 
+def rejections(counts: Any) -> dict[RejectReason, int]:
+    """Return the counts of rejected measurements that are not 0, from counts by outcome."""
+    return {reason: int(counts[reason]) for reason in RejectReason if counts[reason]}
+
+
 class Basis(Code):
     """The basis of the published bounds; bad from `CONTRADICTED` on."""
 

@@ -28,6 +28,7 @@ from tsobs_ros.estimation.records import (
     Learning,
     Measurement,
     RejectReason,
+    rejections,
 )
 from tsobs_ros.estimation.state import numbers_of
 from tsobs_ros.model.prediction import Record
@@ -197,7 +198,7 @@ class Tracker:
         """Number of the other measurements by reason; of some of them, outputs are used."""
         # The estimator itself refuses some measurements, or parts of them.
         counts = self.memory["refused"][0] + self.state["judged"][0]
-        return Counter({reason: int(counts[reason]) for reason in RejectReason if counts[reason]})
+        return Counter(rejections(counts))
 
     @property
     def rewinds(self) -> int:

@@ -34,7 +34,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagReadError, LogError, ModelError, ParameterError
 from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate, rate_of
-from tsobs_ros.estimation.records import HEALTH, USED, RejectReason
+from tsobs_ros.estimation.records import HEALTH, USED, RejectReason, rejections
 from tsobs_ros.estimation.tracker import TrackerRun
 from tsobs_ros.files import naming_path
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
@@ -233,8 +233,7 @@ class Run:
     @property
     def rejected(self) -> dict[RejectReason, int]:
         """Number of rejected measurements of all joints, by reason."""
-        counts = {reason: sum(one[reason] for one in self.outcomes) for reason in RejectReason}
-        return {reason: count for reason, count in counts.items() if count}
+        return rejections(sum(self.outcomes, Counter[int]()))
 
     def _estimate(self) -> None:
         """Make the estimates of the window, each joint on its own, and update the counts."""

@@ -175,10 +175,12 @@ def _drawn(plot: Plot, picture: Picture, identity: str) -> dict[str, Any]:
 
 
 def _traces(plot: Plot) -> Iterator[dict[str, Any]]:
-    for band, swatch in zip(plot.bands, _SWATCHES, strict=False):
+    for place, band in enumerate(plot.bands):
         x, y = _outline(band)
         fill = {"fill": "toself", "fillcolor": "rgba(0, 114, 178, 0.15)", "hoverinfo": "skip"}
-        yield _trace(band.name, x, y, line={"width": 0}, **fill) | _switch(band.name, swatch)
+        yield _trace(band.name, x, y, line={"width": 0}, **fill) | _switch(
+            band.name, _SWATCHES[place]
+        )
     for curve in plot.curves:
         colour, width, dash = curve.style
         look: dict[str, Any] = {"line": {"color": colour, "width": width, "dash": _DASHES[dash]}}

@@ -98,7 +98,8 @@ def test_a_silenced_observer_discards_what_comes_and_then_restarts(
         else:
             answer = stage.call(SetBool, "/observer/enable", SetBool.Request(data=on))
             assert answer.success
-            assert answer.message.startswith("enabled" if on else "disabled: nothing is published")
+            off = "disabled: nothing is published until ~/enable"
+            assert answer.message == ("enabled" if on else off)
 
     stage.step(BEGIN - PERIOD)
     stage.play(samples(0, 20))
