@@ -444,6 +444,63 @@ def test_hits_are_found_by_encoders_whose_samples_alternate() -> None:
     assert compared(request, run).max() < 0.8
 
 
+def test_a_tone_is_found_in_samples_that_come_in_bursts() -> None:
+    """Ten samples each tenth of a second: a clock of whole periods would run almost twice as fast."""
+    bias = (DisturbanceTerm("bias", {"density": 1e-6, "initial_std": 0.3}),)
+    encoders = (Output("link_angle", 0.003, bias), Output("motor_angle", 0.003))
+    request = ArmRequest(outputs=encoders, rate=100.0, uncertainty={})
+    tone = Sinusoid(amplitude=0.06, frequency=8.0, start=10.0)
+    fine = ts.simulate(
+        request, duration=40.0, rate=1000.0, seed=20, disturbance={"link_angle": [tone]}
+    )
+    kept = np.arange(len(fine.time)) % 100 < 10
+    errors = []
+    for method in ("certified", "ekf_plain"):
+        got = ts.estimate(
+            synthesise(request), fine.time[kept], fine.angle[kept], fine.torque[kept],
+            settings=ObserverSettings(method=method),
+        )  # fmt: skip
+        late = fine.time[kept] > 20.0
+        errors.append(np.abs(got.state - fine.state[kept])[late, 0].mean())
+    assert errors[0] < 0.6 * errors[1]
+
+
+def test_bounds_are_narrow_again_after_hits() -> None:
+    """Rivals that hits have left elsewhere leave out all samples, and widened them for minutes."""
+    request = ArmRequest(
+        outputs=(Output("link_angle", 0.002), Output("motor_angle", 0.001)), x_max=3.1
+    )
+    hits = [Pulses(size / 0.01, start, 0.01, 0.0) for size, start in ((8.0, 15.003), (-8.0, 20.0))]
+    bounds = []
+    for struck in ([], hits):
+        run = ts.simulate(
+            request, duration=40.0, seed=43, torque=math.sin, torque_disturbance={"link": struck}
+        )
+        got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
+        bounds.append(got.state_bound[30 * RATE :, 0].max())
+    assert bounds[1] < 2.0 * bounds[0]
+
+
+@pytest.mark.parametrize("side", ["link_angle", "motor_angle"])
+def test_the_first_sample_of_an_exact_encoder_is_no_outlier(side: str) -> None:
+    """Before it, the angle may be anywhere, which makes it unlikely, but not wrong."""
+    request = ArmRequest(outputs=(Output(side, 1e-6),), uncertainty={})
+    run = ts.simulate(request, duration=2.0, seed=0, initial_state=[0.6, 0.0, 0.6, 0.0])
+    got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
+    assert not got.rejected
+    assert np.abs(got.state - run.state)[:, 0 if side == "link_angle" else 2].max() < 1e-4
+
+
+def test_an_arm_at_rest_is_estimated_at_one_sample_a_second() -> None:
+    """Innovations of exactly zero have no slow part, and no power to compare it with."""
+    arm = ElasticJointArm(gravity_torque=0.0, link_damping=1.0, motor_damping=1.0, stiffness=1.0)
+    request = ArmRequest(arm, outputs=(Output("link_angle", 1e-3),), uncertainty={}, rate=1.0)
+    tracker = make_tracker(synthesise(request))
+    rows = tracker.follow(np.arange(1, 7) * NANOSECONDS, np.zeros((6, 1)), np.zeros((6, 1)))
+    assert tracker.failures == 0
+    assert np.isfinite(rows.state_bound).all()
+
+
 @pytest.mark.parametrize("offset", [0.0, 4.0])
 def test_the_gain_of_the_drive_is_learnt_if_the_design_asks_for_it(offset: float) -> None:
     """It scales commands, not the drive's offset."""

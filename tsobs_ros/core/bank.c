@@ -449,9 +449,8 @@ static void update_tones(const model *m, const state *at, const correction *effe
         }
         of.recent[0] += clip((shown - dot(row, x, m->s.n)) / std, -3.0, 3.0);
         of.recent[1] += (dot(row, x, m->s.plant) - dot(row, at->centre, m->s.plant)) / std;
-        *of.interval = *of.since;
-        *of.recent_time += maximum(*of.since, *m->period);
-        *of.recent_counted += counted_time(m, *of.since);
+        *of.recent_time += *of.since;
+        *of.recent_counted += counted_time(m, *of.since, *of.interval);
         if (*of.recent_time * lowest_tone(m) < 0.015) {
             continue;
         }
@@ -537,7 +536,7 @@ static int is_of_motion(const model *m, const sensor *of, long output, long plac
 static void find_tones(const model *m, const state *at, long output, tone *found)
 {
     const sensor of = sensor_of(m, at, output);
-    const double share = share_of(counted_time(m, *of.interval), m->constants[AWAKE]);
+    const double share = share_of(maximum(*of.interval, *m->period), m->constants[AWAKE]);
     const double step = m->constants[TONE_RATIO];
     const double std = innovation_std(m, at, output);
     double loud[TONES + 2] = {0.0}; /* with 0 beyond both ends */
@@ -579,7 +578,7 @@ static void propose_tones(const model *m, state *at)
     for (long i = 0; i < m->s.p; i++) {
         tone own[3] = {none, none, {0.0, 0.0, 0.0}};
         const sensor of = sensor_of(m, at, i);
-        if (*of.since <= maximum(*of.interval, 0.25 * m->constants[TRIAL])) {
+        if (at->y[i] == at->y[i] || *of.since <= *of.interval) {
             find_tones(m, at, i, own);
         }
         if (own[0].power > tones[0].power) {
@@ -1071,21 +1070,22 @@ static int fork_best(const model *m, const state *at, correction *effect)
     return forked;
 }
 
-/* Reset the covariances of a lone hypothesis if it leaves out most samples. */
-static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, correction *effect)
+/* Update the share of recent samples that a hypothesis uses. */
+static void track_inliers(const model *m, const state *at, hypothesis *h, correction *effect)
 {
-    const double share = share_of(counted_time(m, *at->since), m->constants[PATIENCE]);
+    const double share = share_of(counted_time(m, *at->since, 0.0), m->constants[PATIENCE]);
     int present = 0, used = 0;
     for (long i = 0; i < m->s.p; i++) {
         present = present || effect->present[i];
         used = used || outlook_of(effect, i)->used;
     }
     *h->inlier += present * share * (used - *h->inlier);
-    if (*h->inlier < m->constants[REJECTING] && *h->age >= m->constants[PATIENCE]) {
-        reset_covariances(m, h);
-        *h->inlier = 1.0;
-        *h->age = 0.0;
-    }
+}
+
+/* Return whether a hypothesis leaves out most samples. */
+static int is_lost(const model *m, const hypothesis *h)
+{
+    return *h->inlier < m->constants[REJECTING] && *h->age >= m->constants[PATIENCE];
 }
 
 /* Correct a hypothesis of the bank, and update its score. */
@@ -1101,6 +1101,7 @@ static void use_sample(const model *m, state *at, long place, correction *effect
     }
     const double likelihood = correct_hypothesis(m, at, &h, effect);
     *h.score += *h.fork != STUCK ? likelihood : 0.0;
+    track_inliers(m, at, &h, effect);
     /* By chance a moving arm explains some samples of a burst of outliers, but seldom most. */
     for (long i = 0; *h.fork >= HIT && *h.fork < STUCK && i < m->s.p; i++) {
         *h.score -= effect->present[i] && !outlook_of(effect, i)->used ? m->constants[OUTLIER_PRICE]
@@ -1122,7 +1123,12 @@ static void correct_bank(const model *m, state *at, correction *effect)
     follow_motion(m, at, &h);
     if (*m->supervised == 0) {
         correct_hypothesis(m, at, &h, effect);
-        reset_if_rejecting(m, at, &h, effect);
+        track_inliers(m, at, &h, effect);
+        if (is_lost(m, &h)) {
+            reset_covariances(m, &h);
+            *h.inlier = 1.0;
+            *h.age = 0.0;
+        }
         return;
     }
     const int has_sign = outliers || has_slow_sign(m, &h);
@@ -1142,8 +1148,12 @@ static void correct_bank(const model *m, state *at, correction *effect)
     use_sample(m, at, best, effect);
     compare(m, at);
     select_forks(m, at);
+    h = best_of(m, at);
+    const int is_on_track = !is_lost(m, &h);
     for (long i = 0; find_live(m, at, &i, &h) && i < STANDING; i++) {
-        if (i != *at->best && (!isfinite(*h.score) || !isfinite(h.x[0]))) {
+        /* A lost rival's averages stand still, and it would count in the bounds for ever. */
+        const int is_useless = is_rival(i) && is_lost(m, &h) && is_on_track;
+        if (i != *at->best && (is_useless || !isfinite(*h.score) || !isfinite(h.x[0]))) {
             if (*h.kind == TONE) {
                 drop(m, &h);
             } else {
@@ -1185,6 +1195,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     for (long i = 0; i < p; i++) {
         const sensor of = sensor_of(m, at, i);
         const int there = at->y[i] == at->y[i], used = outlook_of(effect, i)->used != 0;
+        *of.interval = there ? *of.since : *of.interval;
         *of.since = there ? 0.0 : *of.since;
         *of.gated += there && !used;
         *of.missing += !there;

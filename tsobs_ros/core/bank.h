@@ -26,10 +26,11 @@ static inline double clip(double value, double least, double most)
 }
 
 /* Return the time that a sample counts for in averages: that since the last one, but at least a
- * period, and at most the longest regular step, so that a gap does not erase the averages. */
-static inline double counted_time(const model *m, double since)
+ * period, and at most the longest regular step or, for a slower output, the interval before, so that
+ * a gap does not erase the averages. */
+static inline double counted_time(const model *m, double since, double interval)
 {
-    return clip(since, *m->period, *m->longest);
+    return clip(since, *m->period, maximum(*m->longest, interval));
 }
 
 /* Return the weight, in an average over `time`, of a value that stands for `duration`. */
@@ -77,7 +78,7 @@ static inline int counts(const model *m, const hypothesis *h)
  * that of all innovations. */
 static inline double slowness_of(const model *m, double power, double nis)
 {
-    return power / (m->constants[QUIET] * nis);
+    return power > 0.0 ? power / (m->constants[QUIET] * nis) : 0.0; /* at rest, 0 of 0 */
 }
 
 /* Return whether a hypothesis' own innovations contradict it, so that its bounds do not hold. */
@@ -94,6 +95,12 @@ static inline int has_slow_sign(const model *m, const hypothesis *h)
     return *h->slow_power > m->constants[SIGN_SLOW];
 }
 
+/* Return whether the hypothesis of a place may explain the same samples as the design. */
+static inline int is_rival(long place)
+{
+    return place == FORCE || place == IMPERFECT || place == DRIFT;
+}
+
 /* Return the least weight of a hypothesis in the bounds, relative to the likeliest one's. Unless
  * that is the design and has no slow sign, FORCE, IMPERFECT and DRIFT may explain the same samples,
  * and their likelihood decides only if the rest of the model is right. With 1/6 each, three bounds
@@ -103,11 +110,10 @@ static inline double least_weight(
     const model *m, const state *at, long place, const hypothesis *h)
 {
     const hypothesis best = best_of(m, at);
-    const int is_rival = place == FORCE || place == IMPERFECT || place == DRIFT;
     const int is_needed = *best.kind != AS_DESIGNED || has_slow_sign(m, &best);
     const int is_failed
         = *best.kind == TONE && *m->design_flow.kind == KIND_ARM && is_contradicted(m, h);
-    return is_rival && is_needed && !is_failed ? 1.0 / 6.0 : 0.0;
+    return is_rival(place) && is_needed && !is_failed ? 1.0 / 6.0 : 0.0;
 }
 
 /* Return whether the live hypothesis h counts in the published bounds. */

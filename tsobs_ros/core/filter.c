@@ -130,7 +130,9 @@ static outlook judge(
     }
     const double designed = scale * scale * m->innovation_variance[i];
     of.likelihood = -0.5 * ratio - 0.5 * logarithm(of.variance / designed) - price_of(m, h);
-    of.used = of.likelihood >= -0.5 * *m->gate * *m->gate;
+    /* The start may be far less exact than the sensor, so its first sample need not be likely. */
+    of.used = of.likelihood >= -0.5 * *m->gate * *m->gate
+              || (*at->age == 0.0 && ratio <= *m->gate * *m->gate);
     of.likelihood = maximum(of.likelihood, -m->constants[OUTLIER_PRICE]);
     return of;
 }
@@ -146,7 +148,8 @@ void expect_outputs(const model *m, const state *at, const hypothesis *h, correc
 static void track_innovations(
     const model *m, const state *at, hypothesis *h, long output, const outlook *of)
 {
-    const double elapsed = counted_time(m, *sensor_of(m, at, output).since);
+    const sensor from = sensor_of(m, at, output);
+    const double elapsed = counted_time(m, *from.since, *from.interval);
     const double share = share_of(elapsed, 1.0) / (double)m->s.p;
     const double slow_share = share_of(elapsed, m->constants[SLOW_TIME]);
     const double r = clip(of->innovation / sqrt(of->variance), -*m->gate, *m->gate);
