@@ -29,7 +29,7 @@ from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, Traj
 from tsobs_ros.simulation.plant import TorqueDisturbance as DisturbingTorques
 from tsobs_ros.simulation.scenarios import SCENARIOS, arm_with, simulate
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import Pulses, Signal, Sinusoid
+from tsobs_ros.simulation.signals import BiasStep, Pulses, Signal, Sinusoid
 
 RATE, STD = 200, 0.028
 DESIGNS = {
@@ -445,7 +445,7 @@ def test_hits_are_found_by_encoders_whose_samples_alternate() -> None:
 
 
 def test_a_tone_is_found_in_samples_that_come_in_bursts() -> None:
-    """Ten samples each tenth of a second: a clock of whole periods would run almost twice as fast."""
+    """Ten samples each tenth of a second: a clock of whole periods would run twice as fast."""
     bias = (DisturbanceTerm("bias", {"density": 1e-6, "initial_std": 0.3}),)
     encoders = (Output("link_angle", 0.003, bias), Output("motor_angle", 0.003))
     request = ArmRequest(outputs=encoders, rate=100.0, uncertainty={})
@@ -470,11 +470,16 @@ def test_bounds_are_narrow_again_after_hits() -> None:
     request = ArmRequest(
         outputs=(Output("link_angle", 0.002), Output("motor_angle", 0.001)), x_max=3.1
     )
-    hits = [Pulses(size / 0.01, start, 0.01, 0.0) for size, start in ((8.0, 15.003), (-8.0, 20.0))]
+
+    def swing(time: float) -> float:
+        return 4.0 * (math.sin(0.8 * time) + 0.6 * math.sin(2.7 * time + 1.0))
+
+    edges = ((40.0, 15.0), (-40.0, 15.03), (-40.0, 23.0), (40.0, 23.03))
+    hits = [BiasStep(size, start) for size, start in edges]
     bounds = []
     for struck in ([], hits):
         run = ts.simulate(
-            request, duration=40.0, seed=43, torque=math.sin, torque_disturbance={"link": struck}
+            request, duration=40.0, seed=43, torque=swing, torque_disturbance={"link": struck}
         )
         got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
         bounds.append(got.state_bound[30 * RATE :, 0].max())

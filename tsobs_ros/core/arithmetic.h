@@ -13,6 +13,22 @@
 #include <math.h>
 #include <stddef.h>
 
+/* Return the smaller and the larger of two numbers; the first one if either is NaN. */
+static inline double minimum(double a, double b)
+{
+    return b < a ? b : a;
+}
+
+static inline double maximum(double a, double b)
+{
+    return b > a ? b : a;
+}
+
+static inline double clip(double value, double least, double most)
+{
+    return minimum(maximum(value, least), most);
+}
+
 /* --- matrices, stored by rows. An argument `..._width` is the number of doubles from one row of
  * the preceding matrix to the next; the rows of all other matrices follow without a gap. A result
  * must not be an argument at the same time unless stated. --- */

@@ -154,16 +154,6 @@ void hold_inputs(const model *m, state *at, const double *u)
     at->held[0] = mean_torque(m, at, 0.0, *m->period);
 }
 
-/* Begin a gap, in which the torque is unknown. */
-static void open_torque(const model *m, const state *at, const hypothesis *h)
-{
-    double spread = *m->torque_rate * *m->period;
-    if (*at->torque_unknown != 0) {
-        spread = maximum(minimum(*m->torque_rate * *at->torque_age, *m->torque_spread), spread);
-    }
-    h->covariance[m->s.n * (m->s.width + 1)] += spread * spread;
-}
-
 /* Return the error variance of a hypothesis' state. */
 static double variance_of(const model *m, const state *at, const hypothesis *h, long i)
 {
@@ -274,12 +264,6 @@ static void begin_kind(
     }
 }
 
-/* Begin a standing hypothesis, a FLOOR behind the best one. */
-static void begin_standing(const model *m, const state *at, long kind)
-{
-    begin_kind(m, at, kind, kind, NO_FORK, -m->constants[FLOOR]);
-}
-
 /* Return whether a kind is considered. A kind that equals the design is not, nor is TONE, which
  * begins once a tone is found. */
 static int is_considered(const model *m, long kind)
@@ -307,7 +291,7 @@ static void activate_bank(const model *m, state *at)
     }
     for (long kind = 0; kind < TONE; kind++) {
         if (*hypothesis_of(m, at, kind).live == 0 && is_considered(m, kind)) {
-            begin_standing(m, at, kind);
+            begin_kind(m, at, kind, kind, NO_FORK, -m->constants[FLOOR]);
         }
     }
     *at->awake = m->constants[AWAKE];
@@ -377,14 +361,17 @@ static void count_repeats(const sensor *of, double y, const outlook *expected, d
     *of->repeats = 0;
 }
 
-/* Under supervision, leave out the samples of stuck sensors, and track the noise by the innovations
- * of the best hypothesis. Return whether that hypothesis finds outliers. */
+/* Note the innovations of the best hypothesis, which is not corrected yet. Under supervision, leave
+ * out the samples of stuck sensors, and track the noise by these innovations. Return whether the
+ * hypothesis finds outliers. */
 static int examine(const model *m, const state *at, correction *effect)
 {
     int outliers = 0;
     for (long i = 0; i < m->s.p; i++) {
         sensor of = sensor_of(m, at, i);
         outlook *expected = outlook_of(effect, i);
+        effect->innovation[i] = expected->innovation;
+        effect->innovation_variance[i] = expected->variance;
         if (!effect->present[i] || *m->supervised == 0) {
             continue;
         }
@@ -516,33 +503,21 @@ static double size_of(const double *z)
     return sqrt(z[0] * z[0] + z[1] * z[1]);
 }
 
-/* Return whether a clean sensor's tone at a frequency is small beside a local maximum of the motion
- * that is at most two frequencies away. Then a wrong model of the arm is likelier than a tone. */
-static int is_of_motion(const model *m, const sensor *of, long output, long place, double loud)
-{
-    double size[TONES + 2] = {0.0}; /* with 0 beyond both ends */
-    int found = 0;
-    for (long j = 1; m->disturbed[output] == 0 && j <= TONES; j++) {
-        size[j] = size_of(of->tones + 4 * (j - 1) + 2);
-    }
-    for (long j = place < 3 ? 1 : place - 2; j <= TONES && j <= place + 2; j++) {
-        found |= size[j] >= maximum(size[j - 1], size[j + 1]) && size[j] > 3.0 * loud;
-    }
-    return found;
-}
-
 /* Find the three loudest tones in an output's innovations, loudest first. Each is a local maximum;
- * its frequency is interpolated towards that of the louder neighbour, by the amplitudes of both. */
+ * its frequency is interpolated towards that of the louder neighbour, by the amplitudes of both. A
+ * clean sensor's must not be small beside a local maximum of the motion that is at most two
+ * frequencies away: then a wrong model of the arm is likelier than a tone. */
 static void find_tones(const model *m, const state *at, long output, tone *found)
 {
     const sensor of = sensor_of(m, at, output);
     const double share = share_of(maximum(*of.interval, *m->period), m->constants[AWAKE]);
     const double step = m->constants[TONE_RATIO];
     const double std = innovation_std(m, at, output);
-    double loud[TONES + 2] = {0.0}; /* with 0 beyond both ends */
+    double loud[TONES + 2] = {0.0}, motion[TONES + 2] = {0.0}; /* with 0 beyond both ends */
     double rate = lowest_tone(m);
     for (long j = 1; j <= TONES; j++, rate *= step) {
         loud[j] = is_natural(m, rate, 0) ? 0.0 : size_of(of.tones + 4 * (j - 1));
+        motion[j] = m->disturbed[output] != 0 ? 0.0 : size_of(of.tones + 4 * (j - 1) + 2);
     }
     rate = lowest_tone(m);
     for (long j = 1; j <= TONES; j++, rate *= step) {
@@ -553,7 +528,11 @@ static void find_tones(const model *m, const state *at, long output, tone *found
             rate * (here + ratio * other) / (here + other),
             6.0 * share * here * std, /* large, as the filter hides part of a slow tone */
         };
-        const int is_tone = here >= other && !is_of_motion(m, &of, output, j, here);
+        int is_tone = here >= other;
+        for (long i = j < 3 ? 1 : j - 2; i <= TONES && i <= j + 2; i++) {
+            is_tone &= !(motion[i] >= maximum(motion[i - 1], motion[i + 1])
+                         && motion[i] > 3.0 * here);
+        }
         for (long rank = 0; is_tone && rank < 3; rank++) {
             const tone ranked = found[rank];
             if (next.power > ranked.power && (rank == 0 || !is_natural(m, next.frequency, 1))) {
@@ -564,15 +543,16 @@ static void find_tones(const model *m, const state *at, long output, tone *found
     }
 }
 
-/* Four times per trial, propose the loudest tone of all outputs that have samples. If one tone alone
- * has failed, add the output's second one, unless the window or clipping may have made it from the
- * loudest. */
+/* Four times per trial, propose the loudest tone of all outputs that have samples. If one tone
+ * alone has failed, add the output's second one, unless the window or clipping may have made it
+ * from the loudest. */
 static void propose_tones(const model *m, state *at)
 {
-    const tone none = {m->constants[TONE_SIGN], 0.0, 0.0};
+    const double *c = m->constants;
+    const tone none = {c[TONE_SIGN], 0.0, 0.0};
     tone tones[3] = {none};
     int64_t output = 0;
-    if (*at->awake <= 0.0 || !has_passed(at, 0.25 * m->constants[TRIAL], *at->since)) {
+    if (*at->awake <= 0.0 || !has_passed(at, 0.25 * c[TRIAL], *at->since)) {
         return;
     }
     for (long i = 0; i < m->s.p; i++) {
@@ -587,8 +567,8 @@ static void propose_tones(const model *m, state *at)
         }
     }
     const double frequency = tones[0].frequency;
-    const double ratio = m->constants[TONE_RATIO] * m->constants[TONE_RATIO];
-    const double apart = (tones[1].frequency - frequency) * m->constants[AWAKE];
+    const double ratio = c[TONE_RATIO] * c[TONE_RATIO];
+    const double apart = (tones[1].frequency - frequency) * c[AWAKE];
     const int are_two = tones[1].power > 2.5 * tones[2].power
                         && tones[1].power * minimum(1.0 + apart * apart, 8.0) > tones[0].power;
     for (long place = TONE; place <= TONE_RESET; place++) {
@@ -596,15 +576,13 @@ static void propose_tones(const model *m, state *at)
         const double now = h.x[m->s.n + 3], second = h.x[m->s.n + 6];
         /* A tone has three periods to prove itself, but little time once another is the loudest. */
         const int is_other = frequency < now / ratio || frequency > now * ratio;
-        const double patience
-            = is_other ? m->constants[TRIAL] : maximum(m->constants[AWAKE], 20.0 / now);
+        const double patience = is_other ? c[TRIAL] : maximum(c[AWAKE], 20.0 / now);
         const int failed_alone = *h.live != 0 && second == 0.0;
         if (*h.live != 0 && (is_natural(m, now, 0) || is_natural(m, second, 1))) {
             *h.score = -INFINITY;
         }
         if (frequency > 0.0 && *best_of(m, at).kind != TONE
-            && (*h.live == 0
-                || (*h.score < -0.5 * m->constants[FLOOR] && *h.age > patience))) {
+            && (*h.live == 0 || (*h.score < -0.5 * c[FLOOR] && *h.age > patience))) {
             begin_tones(m, at, place, output, tones, 1 + (are_two && failed_alone));
         }
     }
@@ -627,13 +605,6 @@ static long place_for(const model *m, const state *at, double score)
         }
     }
     return found;
-}
-
-/* Return whether a clean sensor has only just put the arm where it is: if the arm is elsewhere, it
- * was not lost, but the first sample was an outlier. */
-static int is_first(const model *m, const state *at, long output)
-{
-    return *at->age < 8.0 * *m->period && m->disturbed[output] == 0;
 }
 
 /* Return how far a sample is from the estimate of a state; 0 if no output shows that. */
@@ -724,7 +695,10 @@ static void suppose(
     const model *m, const state *at, int64_t fork, long output, double innovation,
     correction *effect)
 {
-    const int is_new = is_first(m, at, output), elsewhere = is_new ? OUTLIER_PRICE : LOST_PRICE;
+    /* If a clean sensor has only just put the arm where it is, the arm was not lost: the first
+     * sample was an outlier. */
+    const int is_new = *at->age < 8.0 * *m->period && m->disturbed[output] == 0;
+    const int elsewhere = is_new ? OUTLIER_PRICE : LOST_PRICE;
     const double price = m->constants[fork == MOVED ? elsewhere : FORK_PRICE];
     const hypothesis from = best_of(m, at);
     const double score = *from.score - price;
@@ -813,9 +787,6 @@ static void suppose_wrong_torque(const model *m, const state *at, const double *
     const double held = at->held[0], before = *at->torque_before, next = at_motor(m, u[0]);
     const double alone = held - clip(held, minimum(before, next), maximum(before, next));
     const double made = alone * *at->since / *m->period;
-    if (made == 0.0) {
-        return;
-    }
     const hypothesis best = best_of(m, at);
     const double limit = m->constants[SUDDEN] * sqrt(variance_of(m, at, &best, speed));
     if (!(fabs(made * f->gamma[speed * inputs]) > limit)) {
@@ -868,16 +839,11 @@ static int is_loud(const model *m, double size)
     return size > *m->gate / m->constants[SUDDEN];
 }
 
-/* Once per trial, begin a fork of another kind, each kind in turn: the standing hypothesis that is
- * true now may have missed an event for good, as only the best one forks then. LOUD is not among
- * them, so that one hypothesis stays near the arm if all others follow a large tone. While a young
- * IMPERFECT is the best, every second fork supposes that only the parameters were wrong, which is
- * as likely unless the noise is loud. While DRIFT is the best, every second one supposes the other
- * of two sizes, as one between them looks like a torque. While COLOURED_NOISE is the best, or
- * FORCE for a T-S system, every second one supposes that noise or input three times smaller or
- * larger, in turn; for an arm, a larger torque would also explain a slow tone. In other noise,
- * another fork supposes the parameters of the hypothesis whose turn it is, if that knows them
- * better. */
+/* Once per trial, begin a fork of another kind, each kind but LOUD in turn, or as every second one
+ * what the best hypothesis suggests: the design, while a young IMPERFECT is the best; the other of
+ * two sizes of DRIFT; a size three times smaller or larger, in turn, of COLOURED_NOISE or a T-S
+ * system's FORCE. In noise, another fork supposes the parameters of the hypothesis whose turn it
+ * is. docs/estimator.md has the reasons, by "Other suppositions". */
 static void suppose_otherwise(const model *m, const state *at)
 {
     const double *c = m->constants;
@@ -952,19 +918,18 @@ static void open_to_jump(const model *m, const state *at, const hypothesis *h)
 static void select_forks(const model *m, state *at)
 {
     hypothesis h;
+    const double *c = m->constants;
     for (long i = STANDING; find_live(m, at, &i, &h); i++) {
         if (i == *at->best) {
             const hypothesis parent = hypothesis_of(m, at, *h.kind);
-            if (*parent.live == 0 || *h.age > m->constants[TRIAL]
-                || *parent.score < -0.5 * m->constants[FLOOR]) {
+            if (*parent.live == 0 || *h.age > c[TRIAL] || *parent.score < -0.5 * c[FLOOR]) {
                 at->won[*h.fork] += 1;
                 if (*h.fork == JUMPED) {
                     open_to_jump(m, at, &h);
                 }
                 take_place(m, at, &h);
             }
-        } else if (!(*h.score >= -m->constants[FLOOR])
-                   || (*h.fork < STUCK && *h.age > m->constants[AWAKE])) {
+        } else if (!(*h.score >= -c[FLOOR]) || (*h.fork < STUCK && *h.age > c[AWAKE])) {
             drop(m, &h); /* a true event would have won by then */
         }
     }
@@ -1019,46 +984,37 @@ static void follow_motion(const model *m, state *at, const hypothesis *h)
     }
 }
 
-/* Return whether it is time to suppose a jump without a sign: in loud noise, four times per trial,
- * while the bank is awake or another kind than the design is the best. */
-static int is_due(const model *m, const state *at, long output)
-{
-    return (*at->awake > 0.0 || *best_of(m, at).kind != AS_DESIGNED)
-           && is_loud(m, noise_of(m, at, output))
-           && has_passed(at, 0.25 * m->constants[TRIAL], *sensor_of(m, at, output).since);
-}
-
-/* Return whether a sudden innovation of the best hypothesis may be due to a hit: it is an outlier,
- * or its product with the previous innovation is large, too, which is rare in noise. A value that
- * repeats although noise should let none repeat shows no hit, as the sensor may be stuck. */
-static int may_be_hit(
-    const model *m, const state *at, const hypothesis *best, long output, int is_outlier,
-    double size)
-{
-    const sensor of = sensor_of(m, at, output);
-    return *m->design_flow.kind == KIND_ARM
-           && (is_outlier || best->previous[output] * size > m->constants[SUDDEN])
-           && !(*of.repeats > 0 && hides_steps(&of, m->R[output * (m->s.p + 1)]));
-}
-
 /* Fork the best hypothesis at each outlier. If the output has a disturbance, a sudden innovation is
  * enough to suppose a jump or a hit and, soon after a hit or another start, that the arm is
- * elsewhere. Return whether forks may have used the scratch of `expect_outputs`. */
+ * elsewhere. In loud noise, a jump is also due without a sign, four times per trial, while the bank
+ * is awake or another kind than the design is the best.
+ *
+ * A sudden innovation that is no outlier may be due to a hit if its product with the previous one
+ * is large, too, which is rare in noise. A value that repeats although noise should let none repeat
+ * shows no hit, as the sensor may be stuck.
+ *
+ * Return whether forks may have used the scratch of `expect_outputs`. */
 static int fork_best(const model *m, const state *at, correction *effect)
 {
     const hypothesis best = best_of(m, at);
     const int is_new = *best.cause == BASIS_STARTING && *best.age < m->constants[TRIAL];
     int forked = 0;
     for (long i = 0; i < m->s.p; i++) {
+        const sensor of = sensor_of(m, at, i);
         const double innovation = effect->innovation[i];
         const double std = sqrt(effect->innovation_variance[i]);
         const double sudden = m->constants[SUDDEN] * std;
         const int is_outlier = !outlook_of(effect, i)->used, is_disturbed = m->disturbed[i] != 0;
         const int is_sudden = is_outlier || (is_disturbed && fabs(innovation) > sudden);
-        if (!effect->present[i] || !(is_sudden || (is_disturbed && is_due(m, at, i)))) {
+        const int is_due = is_disturbed && (*at->awake > 0.0 || *best.kind != AS_DESIGNED)
+                           && is_loud(m, noise_of(m, at, i))
+                           && has_passed(at, 0.25 * m->constants[TRIAL], *of.since);
+        if (!effect->present[i] || !(is_sudden || is_due)) {
             continue;
         }
-        if (is_sudden && may_be_hit(m, at, &best, i, is_outlier, innovation / std)) {
+        if (is_sudden && *m->design_flow.kind == KIND_ARM
+            && (is_outlier || best.previous[i] * (innovation / std) > m->constants[SUDDEN])
+            && !(*of.repeats > 0 && hides_steps(&of, m->R[i * (m->s.p + 1)]))) {
             suppose(m, at, HIT, i, innovation, effect);
         }
         if (is_outlier || (is_sudden && is_new)) {
@@ -1103,9 +1059,9 @@ static void use_sample(const model *m, state *at, long place, correction *effect
     *h.score += *h.fork != STUCK ? likelihood : 0.0;
     track_inliers(m, at, &h, effect);
     /* By chance a moving arm explains some samples of a burst of outliers, but seldom most. */
-    for (long i = 0; *h.fork >= HIT && *h.fork < STUCK && i < m->s.p; i++) {
-        *h.score -= effect->present[i] && !outlook_of(effect, i)->used ? m->constants[OUTLIER_PRICE]
-                                                                      : 0.0;
+    for (long i = 0; (*h.fork == HIT || *h.fork == MOVED) && i < m->s.p; i++) {
+        const int is_outlier = effect->present[i] && !outlook_of(effect, i)->used;
+        *h.score -= is_outlier ? m->constants[OUTLIER_PRICE] : 0.0;
     }
 }
 
@@ -1116,10 +1072,6 @@ static void correct_bank(const model *m, state *at, correction *effect)
     const long best = *at->best;
     hypothesis h = best_of(m, at);
     const int outliers = examine(m, at, effect);
-    for (long i = 0; i < m->s.p; i++) { /* of the best hypothesis, not corrected yet */
-        effect->innovation[i] = outlook_of(effect, i)->innovation;
-        effect->innovation_variance[i] = outlook_of(effect, i)->variance;
-    }
     follow_motion(m, at, &h);
     if (*m->supervised == 0) {
         correct_hypothesis(m, at, &h, effect);
@@ -1131,7 +1083,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
         }
         return;
     }
-    const int has_sign = outliers || has_slow_sign(m, &h);
+    const int has_sign = outliers || *h.slow_power > m->constants[SIGN_SLOW];
     if (*at->age > 0.0 ? has_sign : m->s.k > 0) {
         activate_bank(m, at);
     }
@@ -1157,7 +1109,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
             if (*h.kind == TONE) {
                 drop(m, &h);
             } else {
-                begin_standing(m, at, i);
+                begin_kind(m, at, i, i, NO_FORK, -m->constants[FLOOR]);
             }
         }
     }
@@ -1214,8 +1166,8 @@ static int is_covered(const model *m, const hypothesis *h, double *difference)
             return 0;
         }
     }
+    copy_matrix(m->X, width, difference, n, n, n);
     for (long i = 0; i < n; i++) {
-        memcpy(difference + i * n, m->X + i * width, (size_t)n * sizeof *difference);
         add_scaled(difference + i * n, -1.0, h->covariance + i * width, n);
     }
     return is_nonnegative(difference, n);
@@ -1238,6 +1190,9 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
                        && (*at->in_gap != 0 || !known || duration > longest);
     const double age = known ? *at->since : minimum(*at->torque_age, *at->age);
     const double rate = in_gap ? *m->torque_rate : 0.0;
+    /* The 1 sigma of the torque where a gap begins. */
+    const double spread = known ? 0.0 : minimum(rate * *at->torque_age, *m->torque_spread);
+    const double opened = maximum(spread, rate * *m->period);
     course along = course_over(m, duration, rate * rate * (2.0 * age + duration), scratch);
     hypothesis h;
     *at->late = is_late;
@@ -1251,7 +1206,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
             leave_certified(m, at, &h, BASIS_GAP);
         }
         if (in_gap && *at->in_gap == 0) {
-            open_torque(m, at, &h);
+            h.covariance[m->s.n * (m->s.width + 1)] += opened * opened;
         }
         predict_hypothesis(m, at, &h, &along, simple, scratch);
         if (!simple && !between_samples && !in_gap && *m->gain_mode == GAIN_CERTIFIED

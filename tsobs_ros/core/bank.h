@@ -9,22 +9,6 @@
 #include "arithmetic.h"
 #include "estimator.h"
 
-/* Return the smaller and the larger of two numbers; the first one if either is NaN. */
-static inline double minimum(double a, double b)
-{
-    return b < a ? b : a;
-}
-
-static inline double maximum(double a, double b)
-{
-    return b > a ? b : a;
-}
-
-static inline double clip(double value, double least, double most)
-{
-    return minimum(maximum(value, least), most);
-}
-
 /* Return the time that a sample counts for in averages: that since the last one, but at least a
  * period, and at most the longest regular step or, for a slower output, the interval before, so that
  * a gap does not erase the averages. */
@@ -89,12 +73,6 @@ static inline int is_contradicted(const model *m, const hypothesis *h)
     return !(*h->nis <= most && slowness <= 7.0 * most);
 }
 
-/* Return whether a hypothesis has a sign of being wrong: the power of its slow innovations. */
-static inline int has_slow_sign(const model *m, const hypothesis *h)
-{
-    return *h->slow_power > m->constants[SIGN_SLOW];
-}
-
 /* Return whether the hypothesis of a place may explain the same samples as the design. */
 static inline int is_rival(long place)
 {
@@ -110,7 +88,7 @@ static inline double least_weight(
     const model *m, const state *at, long place, const hypothesis *h)
 {
     const hypothesis best = best_of(m, at);
-    const int is_needed = *best.kind != AS_DESIGNED || has_slow_sign(m, &best);
+    const int is_needed = *best.kind != AS_DESIGNED || *best.slow_power > m->constants[SIGN_SLOW];
     const int is_failed
         = *best.kind == TONE && *m->design_flow.kind == KIND_ARM && is_contradicted(m, h);
     return is_rival(place) && is_needed && !is_failed ? 1.0 / 6.0 : 0.0;

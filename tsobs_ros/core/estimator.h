@@ -236,7 +236,6 @@ enum { OUTLOOK_SIZE = sizeof(outlook) / sizeof(double) };
     F(VECTOR, gain, s->width, 1)  /* gain of an output */                                    \
     F(MATRIX, omega, s->p, s->k)  /* dy/dtheta */                                            \
     F(VECTOR, cross, s->k, 1)     /* covariance of an innovation with theta */               \
-    F(VECTOR, scaled, s->k, 1)                                                               \
     F(MATRIX, root, s->k, s->k)
 LAYOUT_DECLARE(correction, CORRECTION_FIELDS, estimator_sizes)
 

@@ -79,7 +79,7 @@ const char *tsobs_exported_open(exported *view, const void *words, size_t bytes)
         return "its tracker is not new";
     }
     view->sizes = m.s;
-    const room_sizes sizes = room_for(&view->sizes, *start.max_steps);
+    const room_sizes sizes = {&view->sizes, *start.max_steps + SPARE_SLOTS};
     view->room = tracker_room_size(&sizes);
     view->row = estimate_size(&m.s);
     return NULL;

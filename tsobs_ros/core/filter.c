@@ -89,11 +89,8 @@ static outlook expect(
 }
 
 /* Return the price of a sample, whose base is at most 1 nat per second. It rises with slow
- * innovations: however small, they show that a hypothesis is wrong, unless all innovations are
- * smaller than the design's noise makes them. TONE pays more, as a wrong model of the arm may look
- * like a tone. If a sensor has no disturbance that can stay, all but the design pay more, as such a
- * sensor shows slight errors of the model, which they explain better, but wrongly: most of all
- * DRIFT and TONE, by a fault of the sensor itself. */
+ * innovations, which show that a hypothesis is wrong. TONE pays more; and if a sensor has no
+ * disturbance that can stay, all but the design do. Section 5 of docs/estimator.md says why. */
 static double price_of(const model *m, const hypothesis *h)
 {
     const double sign = m->constants[SIGN_SLOW] * maximum(*h->nis, 1.0);
@@ -150,7 +147,7 @@ static void track_innovations(
 {
     const sensor from = sensor_of(m, at, output);
     const double elapsed = counted_time(m, *from.since, *from.interval);
-    const double share = share_of(elapsed, 1.0) / (double)m->s.p;
+    const double outputs = (double)m->s.p, share = share_of(elapsed, 1.0) / outputs;
     const double slow_share = share_of(elapsed, m->constants[SLOW_TIME]);
     const double r = clip(of->innovation / sqrt(of->variance), -*m->gate, *m->gate);
     double *slow = h->slow + output;
@@ -161,16 +158,13 @@ static void track_innovations(
     const double power = *slow * *slow * ((2.0 - slow_share) / slow_share);
     const double time = m->constants[POWER_TIME], longer = clip(*at->age, time, 4.0 * time);
     const double most = 2.0 * m->constants[VOID] * m->constants[QUIET] * *h->nis;
-    const double outputs = (double)m->s.p;
     *h->slow_power += share_of(elapsed, time) / outputs * (power - *h->slow_power);
     *h->lasting += share_of(elapsed, longer) / outputs * (minimum(power, most) - *h->lasting);
 }
 
-/* Return the factor by which the variance of an innovation is larger for learning parameters. It
- * has three parts: the mean of the covariance relative to the certified bound, as regressors are
- * wrong if x^ is, but at most 4, as much of a larger covariance is the sensors'; the measured power
- * of innovations; and their correlation beyond the three sigmas of white noise, as neighbours that
- * are alike repeat each other. */
+/* Return the factor by which the variance of an innovation is larger for learning parameters, by
+ * the covariance relative to the certified bound, the measured power of innovations, and their
+ * correlation beyond the three sigmas of white noise. Section 7 of docs/estimator.md says why. */
 static double inflation_of(const model *m, const hypothesis *h)
 {
     const long n = m->s.n, width = m->s.width;
@@ -224,27 +218,14 @@ static void use_pending(const model *m, hypothesis *h, correction *effect)
     const long k = m->s.k, used = states_in_use(m, h);
     *h->significant |= *h->kind == IMPERFECT;
     if (*h->significant == 0) {
-        solve(h->gamma, h->pending, effect->root, effect->scaled, k);
-        *h->significant = dot(h->pending, effect->scaled, k) > *m->significance;
+        solve(h->gamma, h->pending, effect->root, effect->cross, k);
+        *h->significant = dot(h->pending, effect->cross, k) > *m->significance;
     }
     if (*h->significant != 0) {
         for (long a = 0; a < k; a++) {
             add_scaled(h->x, h->pending[a], h->sensitivity + a * m->s.width, used);
             h->theta[a] += h->pending[a];
             h->pending[a] = 0.0;
-        }
-    }
-}
-
-/* Correct the regressors by an output's gain, and add to the measure of excitation. */
-static void correct_regressors(
-    const model *m, hypothesis *h, const double *omega, const double *gain, double known)
-{
-    const long k = m->s.k, used = states_in_use(m, h);
-    for (long a = 0; a < k; a++) {
-        add_scaled(h->sensitivity + a * m->s.width, -omega[a], gain, used);
-        for (long b = 0; b < k; b++) {
-            h->gram[a * k + b] += omega[a] * omega[b] / known;
         }
     }
 }
@@ -273,14 +254,21 @@ double correct_by(
     const model *m, const state *at, hypothesis *h, long output, int is_expected, int adapt,
     correction *effect)
 {
+    const long k = m->s.k;
     const double inflation = adapt ? inflation_of(m, h) : 1.0;
-    const double *omega = effect->omega + output * m->s.k;
+    const double *omega = effect->omega + output * k;
     const outlook of = is_expected ? *outlook_of(effect, output) : judge(m, at, h, output, effect);
     correct_estimate(m, h, output, &of, effect);
     if (*m->supervised != 0) {
         track_innovations(m, at, h, output, &of);
     }
-    correct_regressors(m, h, omega, effect->gain, of.known);
+    const long used = states_in_use(m, h);
+    for (long a = 0; a < k; a++) { /* the regressors, and the measure of excitation */
+        add_scaled(h->sensitivity + a * m->s.width, -omega[a], effect->gain, used);
+        for (long b = 0; b < k; b++) {
+            h->gram[a * k + b] += omega[a] * omega[b] / of.known;
+        }
+    }
     if (adapt) {
         adapt_by(m, at, h, omega, &of, inflation, effect->cross);
     }

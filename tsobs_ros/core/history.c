@@ -57,7 +57,7 @@ static int64_t count_up_to(const tracker *t, int64_t stamp)
 int tsobs_history_is_sound(const history *h)
 {
     return *h->max_steps >= 1 && *h->max_steps <= MOST_STEPS && *h->first >= 0
-           && *h->turn <= slots_for(*h->max_steps) && (*h->first == 0 || *h->first < *h->turn)
+           && *h->turn <= *h->max_steps + SPARE_SLOTS && (*h->first == 0 || *h->first < *h->turn)
            && *h->length >= 0 && *h->length <= *h->turn && *h->length <= *h->max_steps + 1
            && *h->span >= 0 && *h->future >= 0 && *h->restart_after >= 0;
 }
@@ -76,7 +76,7 @@ const char *tsobs_tracker_bind(
     if (!tsobs_history_is_sound(&view->h)) {
         return "expected a history whose places and limits belong together";
     }
-    const room_sizes sizes = room_for(&view->m.s, *view->h.max_steps);
+    const room_sizes sizes = {&view->m.s, *view->h.max_steps + SPARE_SLOTS};
     if (room_length != tracker_room_size(&sizes)) {
         return "expected the room of a tracker of this model";
     }
@@ -102,7 +102,7 @@ static int moves_by_inputs(const tracker *t, int64_t place, int64_t stamp, const
     }
     const state at = state_at(t, place);
     for (long i = 0; i < m->s.p; i++) {
-        since = fmin(since, *sensor_of(m, &at, i).since);
+        since = minimum(since, *sensor_of(m, &at, i).since);
     }
     return since * NANOSECONDS + (double)(stamp - *at.stamp) <= (double)*t->h.restart_after;
 }
@@ -173,7 +173,7 @@ static void forget_oldest(tracker *t, int64_t stamp)
 static void widen_ring(tracker *t)
 {
     history *h = &t->h;
-    const int64_t turn = *h->turn, slots = slots_for(*h->max_steps);
+    const int64_t turn = *h->turn, slots = *h->max_steps + SPARE_SLOTS;
     if (*h->length < turn) {
         return;
     }

@@ -57,8 +57,7 @@ static double share_of_sine(double z, double half_width, double bottom, double *
     const double fall = is_small ? -z / 3.0 + z * z * z / 30.0 : (z * cos - sin) / (z * z);
     const double ratio = z != 0.0 ? sin / z : 1.0;
     *slope = fall / (1.0 - bottom);
-    const double grade = (ratio - bottom) / (1.0 - bottom); /* 0 to 1, except for rounding */
-    return grade < 0.0 ? 0.0 : grade > 1.0 ? 1.0 : grade;
+    return clip((ratio - bottom) / (1.0 - bottom), 0.0, 1.0); /* beyond only by rounding */
 }
 
 /* Return the grade at z and write its slope, which at a corner is that of one side. Both are NaN if

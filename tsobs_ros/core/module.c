@@ -402,7 +402,7 @@ BIND(tracker_room, "di")
     if (wrong != NULL || t[1].integer < 1 || t[1].integer > MOST_STEPS) {
         return refuse(of, wrong != NULL ? wrong : "max_steps: expected 1 to 1000000");
     }
-    const room_sizes sizes = room_for(&m.s, t[1].integer);
+    const room_sizes sizes = {&m.s, t[1].integer + SPARE_SLOTS};
     return PyLong_FromSize_t(tracker_room_size(&sizes));
 }
 

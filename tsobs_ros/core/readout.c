@@ -144,14 +144,20 @@ static double error_by_spring(const model *m, const hypothesis *h, long place)
 }
 
 /* Write the mean of a quantity over the decided hypotheses, and its bound: the root of the mean,
- * over all, of variance plus squared distance from that mean. Return their sum. least: the
- * quantity's 1 sigma by the certificate. A learnt change of theta is wrong by a share of itself, as
- * regressors move with x^, and what noise has taught is as wrong as the prior. */
+ * over all, of variance plus squared distance from that mean. Return their sum. A learnt change of
+ * theta is wrong by a share of itself, as regressors move with x^, and what noise has taught is as
+ * wrong as the prior. */
 static double read_one(
-    const model *m, const state *at, int what, long place, double least, double unit, double *value,
-    double *bound, work *scratch, long count)
+    const model *m, const state *at, int what, long place, double *values, double *bounds,
+    work *scratch, long count)
 {
     const long k = m->s.k;
+    const double unit = what == STATE ? m->scale[place] : 1.0;
+    /* The quantity's 1 sigma by the certificate. */
+    const double least = what == STATE         ? sqrt(m->X[place * (m->s.width + 1)])
+                         : what == DISTURBANCE ? m->disturbance_std[place]
+                         : what == TORQUE      ? m->torque_std[place]
+                                               : 0.0;
     double mean = 0.0, mean_of_all = 0.0, mean_square = 0.0, within = 0.0;
     for (long j = 0; j < count; j++) {
         const double weight = scratch->weights[j];
@@ -189,13 +195,13 @@ static double read_one(
         within += weight * std * std;
     }
     const double between = mean_square - mean * (2.0 * mean_of_all - mean);
-    *value = unit * mean;
-    *bound = fabs(unit) * sqrt(within + (between > 0.0 ? between : 0.0));
+    values[place] = unit * mean;
+    bounds[place] = fabs(unit) * sqrt(within + (between > 0.0 ? between : 0.0));
     if (*m->gain_mode == GAIN_OPEN) { /* it has no bound */
-        *bound = (double)NAN;
-        return *value;
+        bounds[place] = (double)NAN;
+        return values[place];
     }
-    return *value + *bound;
+    return values[place] + bounds[place];
 }
 
 int read_out(const model *m, const state *at, const estimate *row, work *scratch)
@@ -207,14 +213,20 @@ int read_out(const model *m, const state *at, const estimate *row, work *scratch
     const long count = weigh(m, at, scratch);
     double total = 0.0;
     for (long i = 0; i < m->s.plant; i++) {
+        total += read_one(m, at, STATE, i, row->state, row->state_bound, scratch, count);
+    }
+    for (long i = 0; i < m->s.k; i++) {
         total += read_one(
-            m, at, STATE, i, sqrt(m->X[i * (m->s.width + 1)]), m->scale[i], row->state + i,
-            row->state_bound + i, scratch, count);
+            m, at, PARAMETER, i, row->parameters, row->parameter_bound, scratch, count);
+    }
+    for (long i = 0; i < m->s.t; i++) {
+        total += read_one(
+            m, at, TORQUE, i, row->torque_disturbance, row->torque_disturbance_bound, scratch,
+            count);
     }
     for (long i = 0; i < m->s.p; i++) {
         total += read_one(
-            m, at, DISTURBANCE, i, m->disturbance_std[i], 1.0, row->disturbance + i,
-            row->disturbance_bound + i, scratch, count);
+            m, at, DISTURBANCE, i, row->disturbance, row->disturbance_bound, scratch, count);
         row->disturbance_rate[i] = 0.0;
         for (long j = 0; j < count; j++) {
             const double *x = hypothesis_of(m, at, scratch->places[j]).x;
@@ -222,16 +234,6 @@ int read_out(const model *m, const state *at, const estimate *row, work *scratch
                 += scratch->decided[j] * dot(m->rate_map + i * m->s.width, x, m->s.n);
         }
         total += row->disturbance_rate[i];
-    }
-    for (long i = 0; i < m->s.t; i++) {
-        total += read_one(
-            m, at, TORQUE, i, m->torque_std[i], 1.0, row->torque_disturbance + i,
-            row->torque_disturbance_bound + i, scratch, count);
-    }
-    for (long i = 0; i < m->s.k; i++) {
-        total += read_one(
-            m, at, PARAMETER, i, 0.0, 1.0, row->parameters + i, row->parameter_bound + i,
-            scratch, count);
     }
     *row->basis = (double)basis_of(m, at, &best, named, row->claimed);
     *row->noise_scale = scale_of(m, at);

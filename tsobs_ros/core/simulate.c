@@ -14,21 +14,14 @@
 /* Return Coulomb friction, in the unit of its level: a torque [N m] or deceleration [rad/s2]. */
 static double rub(double level, double speed)
 {
-    const double share = speed / CREEP;
-    if (!(level > 0.0)) {
-        return 0.0;
-    }
-    return level * (share < -1.0 ? -1.0 : share > 1.0 ? 1.0 : share);
+    return level > 0.0 ? level * clip(speed / CREEP, -1.0, 1.0) : 0.0;
 }
 
 /* Return the spring's twist, which is 0 within the play. */
 static double twist_of(const simulated_arm *arm, const double *x)
 {
     const double turn = x[2] - x[0], free = arm->free_play;
-    if (!(free > 0.0)) {
-        return turn;
-    }
-    return turn > free ? turn - free : turn < -free ? turn + free : 0.0;
+    return free > 0.0 ? turn - clip(turn, -free, free) : turn;
 }
 
 /* Return the arm with the payload while it is carried, otherwise the arm without. */

@@ -21,7 +21,9 @@ extern "C" {
  * bit for bit, as if all measurements had arrived in order. One rewind serves all late measurements
  * that are offered together; it costs one pass over the history. */
 
-enum { MOST_STEPS = 1000000 }; /* largest number of measurements in a history */
+/* Largest number of measurements in a history. Slots of its ring beside their states: for the one
+ * before them, and the next one. */
+enum { MOST_STEPS = 1000000, SPARE_SLOTS = 2 };
 
 /* A history, without its ring. If there are more than `max_steps` states, the oldest one only
  * serves as the beginning of a rewind. */
@@ -47,7 +49,7 @@ LAYOUT_DECLARE(history, HISTORY_FIELDS, void)
  * used again: at most as many as slots. */
 typedef struct {
     const estimator_sizes *s;
-    int64_t slots; /* of the ring, one per state */
+    int64_t slots; /* of the ring, one per state: max_steps + SPARE_SLOTS */
 } room_sizes;
 #define ROOM_FIELDS(F, z)                           \
     F(VECTOR, memory, history_size(NULL), 1)        \
@@ -60,19 +62,6 @@ typedef struct {
     F(MATRIX, y, z->slots, z->s->p)                 \
     F(MATRIX, u, z->slots, z->s->m)
 LAYOUT_DECLARE(tracker_room, ROOM_FIELDS, room_sizes)
-
-/* Return the slots of a ring: for `max_steps` states, the one before them, and the next one. */
-static inline int64_t slots_for(int64_t max_steps)
-{
-    return max_steps + 2;
-}
-
-/* Return the sizes of a room for `max_steps` measurements. */
-static inline room_sizes room_for(const estimator_sizes *s, int64_t max_steps)
-{
-    const room_sizes sizes = {s, slots_for(max_steps)};
-    return sizes;
-}
 
 /* A tracker: a view of a model record and of a room. */
 typedef struct {
