@@ -57,6 +57,29 @@ def test_what_was_found_is_named_and_what_is_not_shown_is_not_claimed(rubbing: t
     assert any("link_damping" in each for each in rubbing.unseen)
 
 
+def test_a_request_that_trusts_its_model_too_much_does_not_keep_its_wrong_numbers() -> None:
+    """Every sample would be an outlier of them, and without gravity no other number is likelier."""
+    rng = np.random.default_rng(3)
+    sheet = ts.ElasticJointArm(300.0, 150.0, 6e4, 0.0, 0.0, 200.0)
+    names = ("link_inertia", "motor_inertia", "stiffness", "motor_damping")
+    true = {name: getattr(sheet, name) * rng.uniform(0.75, 1.25) for name in names}
+    request = request_of(
+        sheet,
+        outputs=(Output("motor_angle", 2e-4), Output("link_angle", 2e-4)),
+        process_noise=ProcessNoise(1e-6, 1e-6),
+        rate=100.0,
+        uncertainty=dict.fromkeys(
+            ("stiffness", "link_inverse_inertia", "motor_inverse_inertia"), 0.3
+        ),
+    )
+    tones = np.outer(np.arange(2501) / 100.0, [0.31, 0.53, 0.97, 1.7, 2.9])
+    torque = 114.0 * np.sin(2.0 * np.pi * tones + rng.uniform(0.0, 6.28, 5)).sum(axis=1)
+    arm = replace(request, arm=replace(sheet, **true), process_noise=ProcessNoise(1e-7, 1e-7))
+    found = ts.fit(request, recorded(arm, 25.0, 3, torque=torque))
+    assert found.number("stiffness").value == pytest.approx(true["stiffness"], rel=0.01)
+    assert found.outliers < 100
+
+
 def test_held_out_samples_are_predicted(rubbing: ts.Fit) -> None:
     assert rubbing.samples == (2251, 750)
     for output in rubbing.outputs:

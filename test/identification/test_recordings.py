@@ -33,6 +33,9 @@ SPOILT: dict[str, tuple[Spoil, str]] = {
     "sign": (lambda t, y, u: (t, y, -u), "its sign is the opposite"),
     "torque in mN m": (lambda t, y, u: (t, y, 1000.0 * u), "is its unit mN m"),
     "torque before a gear": (lambda t, y, u: (t, y, u / 50.0), "other side of a gear"),
+    "exchanged encoders": (lambda t, y, u: (t, y[:, ::-1], u), "seems to be the other"),
+    "one encoder inverted": (lambda t, y, u: (t, y * [1.0, -1.0], u), "have opposite signs"),
+    "milliseconds": (lambda t, y, u: (1000.0 * t, y, u), "say so: --units time=ms"),
     "degrees": (lambda t, y, u: (t, np.degrees(y), u), "if these are degrees"),
     "motor before a gear": (
         lambda t, y, u: (t, y * np.array([5.0, 1.0]), u),
@@ -85,7 +88,20 @@ def test_recordings_are_put_right_and_remarks_say_how(log: Recorded) -> None:
     assert request.rate == 500.0
     assert "500 samples per second, the request 200" in notes[0]
     assert "the zeros of the angles differ" in notes[1]
-    assert "1 gaps are left out" in notes[2]
+    assert "gaps left out: 1" in notes[2]
+
+
+@pytest.mark.parametrize("back", [3.0, 1.7e9])
+def test_a_clock_that_restarts_makes_two_recordings(log: Recorded, back: float) -> None:
+    """In order of time, the samples of both would alternate."""
+    time, y, u = log
+    half = len(time) // 2
+    _, made, notes = read(
+        request_of(), [(np.where(np.arange(len(time)) < half, time + back, time), y, u)]
+    )
+    assert [each.count for each in made] == [half, len(time) - half]
+    np.testing.assert_array_equal(np.concatenate([each.u for each in made]), u)
+    assert "clock has restarted" in notes[0]
 
 
 def test_samples_far_from_their_neighbours_are_left_out(log: Recorded) -> None:

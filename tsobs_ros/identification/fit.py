@@ -30,7 +30,7 @@ from tsobs_ros.identification.joint import (
     with_values,
 )
 from tsobs_ros.identification.likelihood import GATE, Evaluation, Likelihood, Recording, innovations
-from tsobs_ros.identification.recordings import Samples, read, require_torque
+from tsobs_ros.identification.recordings import Samples, read, require_torque, wary
 from tsobs_ros.identification.result import Fit
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.model.disturbance import DisturbanceTerm
@@ -97,6 +97,8 @@ def maximise(
             for count in (_START_SAMPLES, _MIDDLE_SAMPLES)
         )
         points = [np.zeros(k), *(0.5 * rng.standard_normal((starts - 1, k)))]
+        # A filter that trusts a wrong model too much never sees that other numbers are likelier.
+        points.append(wary(unknowns, 4.0))
         found = [_search(short, point, _FEW_STEPS) for point in points]
         best = _search(longer, min(found, key=short.cost), _FEW_STEPS)
     gated = Likelihood(unknowns, recording, GATE, advance)

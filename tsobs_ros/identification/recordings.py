@@ -9,6 +9,7 @@ far better with another sign or scale, or in angles that leave the domain.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,12 @@ _LEAST_MOTION = 8.0
 _BETTER = 100.0
 """Gain in log-likelihood that another sign or scale of the torque must have to count [nat]."""
 
+_BACK = 1.0
+"""Step back in time from which on a clock has restarted, and no sample is just late [s]."""
+
+_OTHER_UNIT = 50.0
+"""Ratio of the rates of recording and request from which on times must have another unit."""
+
 _SCALES = tuple(10.0 ** (step / 3.0) for step in range(-12, 13))
 
 _SPIKE, _NEARBY, _ROUNDS = 5.0, 41, 8
@@ -73,8 +80,14 @@ def read(
     if not logs:
         raise ModelError("logs: expected at least one recording")
     notes = list[str]()
-    raw = [_complete(*_samples(request, log, options, notes)) for log in logs]
+    raw = [part for log in logs for part in _runs(*_samples(request, log, options, notes), notes)]
     period = float(np.median(np.concatenate([np.diff(time) for _, time, _, _ in raw])))
+    if not 1.0 / _OTHER_UNIT < period * request.rate < _OTHER_UNIT:
+        raise LogError(
+            f"{raw[0][0]}: samples are {period:.4g} s apart, in the request "
+            f"{request.period:.4g} s: if these are ms, say so: --units "
+            "time=ms; else correct the request's rate"
+        )
     if abs(period * request.rate - 1.0) > 0.02:
         notes.append(
             f"note: the recording has {1.0 / period:.4g} samples per second, the request "
@@ -94,7 +107,7 @@ def read(
                 count = f"{lost:,} of {int(np.isfinite(values).sum()) + lost:,}"
                 notes.append(f"note: {name}: {count} samples of {output} are outliers, left out")
         if lost := int((recording.durations < 0.0).sum()):
-            notes.append(f"note: {name}: {lost} gaps are left out")
+            notes.append(f"note: {name}: gaps left out: {lost}")
         try:
             _require_motion(request, recording)
         except LogError as error:
@@ -148,17 +161,32 @@ def _samples(
     return str(log), times, whole.y[keep, 0], whole.u[keep, 0, 0]
 
 
-def _complete(name: str, times: Array, y: Array, u: Array) -> _Raw:
-    """Return the samples with a time, a torque and an output, in order of time."""
-    keep = np.isfinite(times) & np.isfinite(u) & np.isfinite(y).any(axis=1)
-    times, first = np.unique(times[keep], return_index=True)
+def _runs(name: str, times: Array, y: Array, u: Array, notes: list[str]) -> list[_Raw]:
+    """Return a log's complete samples: as one recording, or as several if its clock restarts."""
+    y = np.where(np.isfinite(y), y, np.nan)
+    there = np.isfinite(times) & np.isfinite(y).any(axis=1)
+    keep = there & np.isfinite(u)
+    times, y, u = times[keep], y[keep], u[keep]
+    cuts = [0, *(1 + np.flatnonzero(np.diff(times) < -_BACK)).tolist(), len(times)]
+    parts = [slice(*ends) for ends in pairwise(cuts) if ends[1] - ends[0] >= LEAST_SAMPLES]
+    if parts and (restarts := len(cuts) - 2):
+        notes.append(
+            f"note: {name}: its clock has restarted ({restarts}): fitted as {len(parts)} recordings"
+        )
+    lack = f"; {lost:,} others have no torque" if (lost := int((there & ~keep).sum())) else ""
+    return [_in_order(name, lack, times[part], y[part], u[part]) for part in parts or [slice(None)]]
+
+
+def _in_order(name: str, lack: str, times: Array, y: Array, u: Array) -> _Raw:
+    """Return samples in order of time, from 0 on; refuse too few, and say what others lack."""
+    times, first = np.unique(times, return_index=True)
     length = float(times[-1] - times[0]) if len(times) else 0.0
     if len(times) < LEAST_SAMPLES or length < LEAST_TIME:
         raise LogError(
             f"{name}: too short: {len(times)} samples with angle and torque in {length:.3g} s; "
-            f"expected at least {LEAST_SAMPLES} in {LEAST_TIME:g} s"
+            f"expected at least {LEAST_SAMPLES} in {LEAST_TIME:g} s{lack}"
         )
-    return name, times - times[0], np.ascontiguousarray(y[keep][first]), u[keep][first]
+    return name, times - times[0], np.ascontiguousarray(y[first]), u[first]
 
 
 def _leave_out_spikes(time: Array, values: Array) -> int:
@@ -220,14 +248,17 @@ def _require_motion(request: ArmRequest, recording: Recording) -> None:
             raise LogError(
                 f"{output.measures}: up to {largest:.4g} rad, beyond {min(domain, math.pi):.4g} "
                 f"rad: if these are degrees, {math.radians(largest):.3g} rad, say so: --units "
-                "angle=deg; if it is the motor's side of a gear, divide by its ratio; else widen "
-                "x_max, or leave that motion out"
+                "angle=deg; if it is the motor's side of a gear, divide by its ratio; if it is not "
+                "0 where the link hangs down, subtract that angle; else widen x_max, or leave that "
+                "motion out"
             )
     if not moves:
         raise LogError("at rest: no output moves by more than its noise")
     if {"motor_angle", "link_angle"} <= set(names):
         both = y[:, [names.index("motor_angle"), names.index("link_angle")]]
         (motor, cross), (_, link) = np.cov(both[np.isfinite(both).all(axis=1)].T)
+        if cross * cross > 0.5 * motor * link and -2.0 < cross / link < -0.5:
+            raise LogError("motor_angle and link_angle have opposite signs: change that of one")
         if cross * cross > 0.5 * motor * link and not 0.5 < cross / link < 2.0:
             sign = " and has the opposite sign" if cross < 0.0 else ""
             raise LogError(
@@ -235,6 +266,13 @@ def _require_motion(request: ArmRequest, recording: Recording) -> None:
                 "gear is between them, divide the motor's angle by its ratio, and multiply the "
                 "torque by it"
             )
+
+
+def wary(unknowns: Unknowns, noise: float) -> Array:
+    """Return the coordinates of a filter that trusts its model little, otherwise the request's."""
+    return np.array(
+        [noise if each.name.startswith("process") else 0.0 for each in unknowns.numbers]
+    )
 
 
 def require_torque(unknowns: Unknowns, recording: Recording) -> None:
@@ -245,7 +283,7 @@ def require_torque(unknowns: Unknowns, recording: Recording) -> None:
     """
     noises = unknowns.noises()
     # A filter with little trust in its model shows sign and scale even if other numbers are wrong.
-    at = np.array([2.0 if each.name.startswith("process") else 0.0 for each in noises.numbers])
+    at = wary(noises, 2.0)
     costs = {}
     for gain in (sign * scale for sign in (1.0, -1.0) for scale in _SCALES):
         joint = with_values(noises.joint, {TORQUE_GAIN: gain})
@@ -253,6 +291,11 @@ def require_torque(unknowns: Unknowns, recording: Recording) -> None:
     likeliest = min(costs, key=costs.__getitem__)
     upright = min((each for each in costs if each > 0.0), key=costs.__getitem__)
     if likeliest < 0.0 and costs[likeliest] < costs[upright] - _BETTER:
+        bar = costs[likeliest] - _BETTER
+        swapped = replace(recording, y=np.ascontiguousarray(recording.y[:, ::-1]))
+        if recording.y.shape[1] == 2 and Likelihood(noises, swapped).cost(at) < bar:
+            first, second = noises.joint.request.output_names
+            raise LogError(f"{first} and {second}: each seems to be the other: exchange them")
         raise LogError(
             "torque: its sign is the opposite of the angle's: with the other sign the motion "
             "follows from it; change the sign of torque or angle"

@@ -66,7 +66,8 @@ class Fit:
     def __str__(self) -> str:
         lines = table(self.numbers, {"before": "before", "fitted": "value", "1 sigma": "std"})
         fitted, held_out = self.samples
-        lines.append(f"{fitted:,} samples fitted, {held_out:,} held out")
+        lost = f" ({self.outliers:,} innovations left out as outliers)" * bool(self.outliers)
+        lines.append(f"{fitted:,} samples fitted{lost}, {held_out:,} held out")
         for one in self.outputs:
             lost = f" ({one.outliers:,} samples left out as outliers)" * bool(one.outliers)
             lines.append(
