@@ -496,6 +496,26 @@ def test_the_first_sample_of_an_exact_encoder_is_no_outlier(side: str) -> None:
     assert np.abs(got.state - run.state)[:, 0 if side == "link_angle" else 2].max() < 1e-4
 
 
+def test_bounds_do_not_depend_on_the_turns_of_an_arm_without_gravity() -> None:
+    """The distances of hypotheses of microradians are not lost in squares of the angle."""
+    outputs = (Output("link_angle", 2e-6), Output("motor_angle", 2e-6))
+    arm = ElasticJointArm(gravity_torque=0.0)
+    design = synthesise(ArmRequest(arm, outputs=outputs, uncertainty={}, rate=500.0))
+    run = ts.simulate(
+        design, duration=8.0, torque=math.sin, friction={"motor_coulomb": 0.3}, seed=1,
+        initial_state=[0.0] * 4,
+    )  # fmt: skip
+    stamps = (np.arange(len(run.time)) + 1) * round(NANOSECONDS / 500)
+    bounds = []
+    for turned in (0.0, 60000.0):
+        tracker = make_tracker(design)
+        begin = tracker.estimator.model["initial"]["hypotheses"]["x"]
+        begin[..., :4] += arm.from_physical(np.array([turned, 0.0, turned, 0.0]))
+        rows = tracker.follow(stamps, run.angle + turned, run.torque[:, np.newaxis])
+        bounds.append(np.median(rows.state_bound[2000:], axis=0))
+    assert bounds[1] == pytest.approx(bounds[0], rel=1e-3)
+
+
 def test_an_arm_at_rest_is_estimated_at_one_sample_a_second() -> None:
     """Innovations of exactly zero have no slow part, and no power to compare it with."""
     arm = ElasticJointArm(gravity_torque=0.0, link_damping=1.0, motor_damping=1.0, stiffness=1.0)

@@ -158,7 +158,8 @@ static double read_one(
                          : what == DISTURBANCE ? m->disturbance_std[place]
                          : what == TORQUE      ? m->torque_std[place]
                                                : 0.0;
-    double mean = 0.0, mean_of_all = 0.0, mean_square = 0.0, within = 0.0;
+    /* Distances are from one hypothesis, as squares of a large quantity would hide small ones. */
+    double from = 0.0, mean = 0.0, mean_of_all = 0.0, mean_square = 0.0, within = 0.0;
     for (long j = 0; j < count; j++) {
         const double weight = scratch->weights[j];
         const hypothesis h = hypothesis_of(m, at, scratch->places[j]);
@@ -189,13 +190,15 @@ static double read_one(
         const double std
             = sqrt(growth * growth * (own * own)
                    + (grown + shift * shift + curved * curved + sprung * sprung));
-        mean += scratch->decided[j] * own_value;
-        mean_of_all += weight * own_value;
-        mean_square += weight * own_value * own_value;
+        from = j == 0 ? own_value : from;
+        const double distance = own_value - from;
+        mean += scratch->decided[j] * distance;
+        mean_of_all += weight * distance;
+        mean_square += weight * distance * distance;
         within += weight * std * std;
     }
     const double between = mean_square - mean * (2.0 * mean_of_all - mean);
-    values[place] = unit * mean;
+    values[place] = unit * (from + mean);
     bounds[place] = fabs(unit) * sqrt(within + (between > 0.0 ? between : 0.0));
     if (*m->gain_mode == GAIN_OPEN) { /* it has no bound */
         bounds[place] = (double)NAN;
