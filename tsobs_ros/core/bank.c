@@ -1101,10 +1101,11 @@ static void correct_bank(const model *m, state *at, correction *effect)
     compare(m, at);
     select_forks(m, at);
     h = best_of(m, at);
-    const int is_on_track = !is_lost(m, &h);
+    const int is_on_track = !is_lost(m, &h), is_arm = *m->design_flow.kind == KIND_ARM;
     for (long i = 0; find_live(m, at, &i, &h) && i < STANDING; i++) {
-        /* A lost rival's averages stand still, and it would count in the bounds for ever. */
-        const int is_useless = is_rival(i) && is_lost(m, &h) && is_on_track;
+        /* A lost rival's averages stand still, so that it would count in the bounds for ever. In a
+         * T-S system it may be right again later, and beginning it again broke more bounds. */
+        const int is_useless = is_arm && is_on_track && is_rival(i) && is_lost(m, &h);
         if (i != *at->best && (is_useless || !isfinite(*h.score) || !isfinite(h.x[0]))) {
             if (*h.kind == TONE) {
                 drop(m, &h);

@@ -89,7 +89,8 @@ enum {
     C(TONE_SIGN, 50.0, "power of a tone that proposes it, relative to white noise's")             \
     C(TONE_RATIO, 1.12, "ratio of neighbouring frequencies at which tones are looked for")        \
     C(LEAST_SCALE, 0.5, "least measured noise, relative to the design's; filters use at least 1") \
-    C(REJECTING, 0.54, "share of used samples below which a lone filter opens its covariance")    \
+    C(REJECTING, 0.54, "share of used samples below which a lone filter opens its covariance, "   \
+                       "and a rival of the best hypothesis begins again")                         \
     C(PATIENCE, 0.5, "averaging time of the share of used samples [s]")                           \
     C(SLOW_PRICE, 0.005, "price of a sample while slow innovations are below SIGN_SLOW [nat]")    \
     C(SIGN_SLOW, 0.7, "power of slow innovations that wakes the bank, relative to white noise's") \
