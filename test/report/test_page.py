@@ -170,6 +170,9 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     outside = fitting._replace(bases={Basis.OUTSIDE: 0.41, Basis.CERTIFIED: 0.59}).misfit
     assert outside
     assert outside.startswith("for 41 % of the time the link's angle is outside of x_max")
+    slight = fitting._replace(bases={Basis.HYPOTHESIS: 0.96})
+    for claimed, is_said in ((1.0, True), (0.5, False)):
+        assert ("the bounds allow for it" in slight._replace(claimed=claimed).misfit) == is_said
     misfit = fitting._replace(bases={Basis.CONTRADICTED: 0.96})
     said = ["behave as designed" in "".join(one.lines()) for one in (fitting, misfit)]
     assert said == [True, False]
