@@ -14,7 +14,7 @@ import pytest
 import tsobs_ros as ts
 from tsobs_ros.api import Simulation
 from tsobs_ros.checks import Array
-from tsobs_ros.design.file import load_design
+from tsobs_ros.design.file import load_design, load_request
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.records import USED, Basis, Hypothesis, Measurement, RejectReason
@@ -484,6 +484,17 @@ def test_bounds_are_narrow_again_after_hits() -> None:
         got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
         bounds.append(got.state_bound[30 * RATE :, 0].max())
     assert bounds[1] < 2.0 * bounds[0]
+
+
+def test_bounds_of_a_system_are_narrow_after_a_jump_of_its_sensor() -> None:
+    """An unknown input explains it at first, is contradicted soon, and widened them 20 times."""
+    request = load_request(config_path("ts_example.request.yaml"))
+    jump = {"gyroscope": [BiasStep(0.15, 5.0)]}
+    run = ts.simulate(request, duration=20.0, seed=1, disturbance=jump)
+    got = ts.estimate(synthesise(request), run.time, run.angle, run.torque)
+    late = run.time > 8.0
+    assert np.quantile(got.state_bound[late, 0], 0.95) < 0.02
+    assert (np.abs(got.state - run.state) <= 3.0 * got.state_bound)[late].all()
 
 
 @pytest.mark.parametrize("side", ["link_angle", "motor_angle"])

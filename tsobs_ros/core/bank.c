@@ -1065,6 +1065,20 @@ static void use_sample(const model *m, state *at, long place, correction *effect
     }
 }
 
+/* Return whether a rival is of no use any more, and would only widen the bounds. One of an arm
+ * leaves out most samples: its averages stand still, so it would for ever. One of a T-S system is
+ * contradicted, for tens of seconds after a jump of the sensor, while nothing contradicts the
+ * design. */
+static int is_useless(const model *m, const state *at, long place, const hypothesis *h)
+{
+    const hypothesis best = best_of(m, at);
+    if (*m->design_flow.kind == KIND_ARM) {
+        return is_rival(place) && is_lost(m, h) && !is_lost(m, &best);
+    }
+    return is_rival(place) && is_contradicted(m, h) && *at->best == AS_DESIGNED
+           && *best.slow_power < 2.0 * m->constants[SIGN_SLOW];
+}
+
 /* Correct all hypotheses, and fork the best one if it does not expect the sample. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
@@ -1100,13 +1114,9 @@ static void correct_bank(const model *m, state *at, correction *effect)
     use_sample(m, at, best, effect);
     compare(m, at);
     select_forks(m, at);
-    h = best_of(m, at);
-    const int is_on_track = !is_lost(m, &h), is_arm = *m->design_flow.kind == KIND_ARM;
     for (long i = 0; find_live(m, at, &i, &h) && i < STANDING; i++) {
-        /* A lost rival's averages stand still, so that it would count in the bounds for ever. In a
-         * T-S system it may be right again later, and beginning it again broke more bounds. */
-        const int is_useless = is_arm && is_on_track && is_rival(i) && is_lost(m, &h);
-        if (i != *at->best && (is_useless || !isfinite(*h.score) || !isfinite(h.x[0]))) {
+        const int is_finite = isfinite(*h.score) && isfinite(h.x[0]);
+        if (i != *at->best && (!is_finite || is_useless(m, at, i, &h))) {
             if (*h.kind == TONE) {
                 drop(m, &h);
             } else {

@@ -10,8 +10,8 @@
 #include "estimator.h"
 
 /* Return the time that a sample counts for in averages: that since the last one, but at least a
- * period, and at most the longest regular step or, for a slower output, the interval before, so that
- * a gap does not erase the averages. */
+ * period, and at most the longest regular step or, for a slower output, the interval before, so
+ * that a gap does not erase the averages. */
 static inline double counted_time(const model *m, double since, double interval)
 {
     return clip(since, *m->period, maximum(*m->longest, interval));
